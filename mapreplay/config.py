@@ -1,0 +1,111 @@
+"""Configuration of an episode: checked, frozen, and written whole into the log."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from mapreplay.errors import ConfigError
+from mapreplay.grid import Cell
+from mapreplay.mapping import PredictionDtype
+
+
+class MapKind(StrEnum):
+    """One of the two maps that an agent keeps."""
+
+    OBSERVED = "observed"
+    FUSED = "fused"
+
+
+MAX_SEED = 2**63 - 1
+_MAX_CONFIG_BYTES = 1 << 20
+
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
+class EpisodeConfig(BaseModel):
+    """What an episode depends on, beside its floor plan.
+
+    `ConfigError` is raised for an unknown key or a value out of range; it names the key, the
+    value and what is allowed.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
+
+    planner: str = "cost-utility"
+    predictor: str = "none"
+    plan_on: MapKind = MapKind.FUSED
+    """E: the map that paths and gains are computed on."""
+    build: MapKind = MapKind.FUSED
+    """U: the map under construction, whose coverage ends the episode."""
+    delta_free: Share = 0.93
+    delta_occupied: Share = 0.95
+    coverage: Annotated[float, Field(gt=0, le=1)] = 0.98
+    """Target coverage of U."""
+    correct_coverage: Annotated[float, Field(gt=0, le=1)] = 0.95
+    """Correct coverage whose first step is the second headline."""
+    fail_safe: bool = False
+    start: tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]] | None = None
+    """(row, col); None is the top-left free cell."""
+    max_steps: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
+    """None is 4 x the explorable free cells."""
+    seed: Annotated[int, Field(ge=0, le=MAX_SEED)] = 1
+    rays: Annotated[int, Field(ge=8, le=360, multiple_of=8)] = 16
+    reach: Annotated[int, Field(ge=1, le=1000)] = 20
+    """Range of the sensor in cells."""
+    prediction_dtype: PredictionDtype = PredictionDtype.UINT8
+
+    @field_validator("planner", "predictor")
+    @classmethod
+    def _name(cls, value: str) -> str:
+        if not value or len(value) > 512:
+            raise ValueError("must be a name of 1 to 512 characters")
+        return value
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any], where: str = "config") -> Self:
+        """Check `values`; `where` says in an error where they came from.
+
+        Raises:
+            ConfigError: a key is unknown or a value out of range.
+        """
+        try:
+            return cls(**values)
+        except ValidationError as error:
+            raise ConfigError(f"{where}: {describe(error)}") from None
+
+    @property
+    def start_cell(self) -> Cell | None:
+        """`start` as a cell."""
+        return None if self.start is None else Cell(*self.start)
+
+
+def describe(error: ValidationError) -> str:
+    """The first problem that pydantic found, in our words: key, value, allowed range."""
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"] if not str(part).startswith("tuple["))
+    if first["type"] == "extra_forbidden":
+        return f"unknown key {key!r}"
+    reason = first["msg"].removeprefix("Value error, ").removeprefix("Input should ")
+    return f"{key} = {first['input']!r}: should {reason.removeprefix('should ')}"
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The keys of a TOML file.
+
+    Raises:
+        ConfigError: it cannot be read, or is not TOML.
+    """
+    try:
+        if path.stat().st_size > _MAX_CONFIG_BYTES:
+            raise ConfigError(f"{path}: larger than 1 MiB, not a configuration")
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: not TOML ({error})") from None

@@ -1,0 +1,128 @@
+"""A floor plan: the true map of a building, where an agent starts, and what it could explore."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import struct
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from mapreplay import kernels
+from mapreplay.errors import FloorPlanError
+from mapreplay.grid import FREE, OCCUPIED, Cell, Grid, Mask, Origin, check_grid
+
+MAX_SIDE = 4096
+"""Cells along the longer side above which a floor plan is refused (16.7 million cells)."""
+
+_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,127}")
+
+
+@dataclass(frozen=True, eq=False)
+class FloorPlan:
+    """The true map. Cells are -1 (unknown, as in a real robot's map), 0 or 100."""
+
+    id: str
+    cells: Grid
+    """int8[H, W], read-only."""
+    resolution: float
+    """Metres a cell."""
+    origin: Origin = Origin(0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        """Check and freeze.
+
+        Raises:
+            FloorPlanError: cells of another type, too many, or none of them free.
+        """
+        if not _ID.fullmatch(self.id):  # ids become names of files
+            raise FloorPlanError(
+                f"floor plan {self.id[:40]!r}: an id is 1 to 128 letters, digits and . _ + -"
+            )
+        problem = check_grid(self.cells)
+        if problem is None and not 1 <= max(self.cells.shape) <= MAX_SIDE:
+            problem = f"{self.cells.shape} cells; at most {MAX_SIDE} along a side are allowed"
+        if problem is None and not (np.isfinite(self.resolution) and self.resolution > 0):
+            problem = f"resolution {self.resolution} must be a positive number of metres a cell"
+        if problem is None and not np.isfinite(self.origin).all():
+            problem = f"origin {tuple(self.origin)} is not finite"
+        if problem is None and not (self.cells == FREE).any():
+            problem = "no free cell"
+        if problem is not None:
+            raise FloorPlanError(f"floor plan {self.id}: {problem}")
+        self.cells.setflags(write=False)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width) in cells."""
+        return self.cells.shape[0], self.cells.shape[1]
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hex digest of shape, cells, resolution and origin: what the simulation depends on."""
+        digest = hashlib.sha256(struct.pack("<qqddd", *self.shape, self.resolution, *self.origin))
+        digest.update(np.ascontiguousarray(self.cells).tobytes())
+        return digest.hexdigest()
+
+    @cached_property
+    def wall_share(self) -> float:
+        """Occupied share of the cells that are explorable from the default start, 0 to 1."""
+        cells = self.cells[explorable(self.cells, self.default_start)]
+        return float((cells == OCCUPIED).mean())
+
+    @cached_property
+    def default_start(self) -> Cell:
+        """The top-left free cell (largest y, then smallest x) of the largest free region.
+
+        Of two regions of one size, the one with the topmost, then leftmost cell.
+        """
+        height, width = self.shape
+        reached = np.zeros(self.shape, np.bool_)
+        stack = np.empty(height * width, np.int32)
+        best, best_size = Cell(-1, -1), 0
+        rows, cols = np.nonzero(self.cells == FREE)
+        for i in np.lexsort((cols, -rows)):
+            cell = Cell(int(rows[i]), int(cols[i]))
+            if not reached[cell]:
+                size = kernels.flood(self.cells, *cell, reached, stack, kernels.MOVES)
+                if size > best_size:
+                    best, best_size = cell, size
+        return best
+
+    def check_start(self, start: Cell | None) -> Cell:
+        """`start`, or the default one.
+
+        Raises:
+            FloorPlanError: `start` lies outside of the map or is not free.
+        """
+        if start is None:
+            return self.default_start
+        height, width = self.shape
+        if not (0 <= start.row < height and 0 <= start.col < width):
+            raise FloorPlanError(
+                f"floor plan {self.id}: start {tuple(start)} lies outside of {height} x {width}"
+            )
+        if self.cells[start] != FREE:
+            raise FloorPlanError(f"floor plan {self.id}: start {tuple(start)} is not a free cell")
+        return start
+
+
+def explorable(cells: Grid, start: Cell) -> Mask:
+    """bool[H, W]: what an agent at `start` (a free cell) could ever come to know.
+
+    The free cells that can be reached (8-connected) and the occupied cells that touch one of
+    them (8-neighbourhood). Unknown cells, closed rooms, the outside and the inside of thick
+    walls are not explorable and count nowhere.
+    """
+    reached = np.zeros(cells.shape, np.bool_)
+    stack = np.empty(cells.size, np.int32)
+    kernels.flood(cells, start.row, start.col, reached, stack, kernels.MOVES)
+    padded = np.pad(reached, 1)
+    height, width = cells.shape
+    near = np.zeros(cells.shape, np.bool_)
+    for dr in (0, 1, 2):
+        for dc in (0, 1, 2):
+            near |= padded[dr : dr + height, dc : dc + width]
+    return reached | (near & (cells == OCCUPIED))

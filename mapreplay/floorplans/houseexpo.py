@@ -1,0 +1,223 @@
+"""HouseExpo floor plans: the paper's second dataset, D2.
+
+One JSON file a house, with one polygon whose inside is free; interior walls are notches of
+about 0.1 m. The polygon is rasterized at 80 px/m or finer, and a cell is free only if all
+of it is free: coarser rasterizing erases most interior walls.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import tarfile
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Final
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from mapreplay.errors import FloorPlanError
+from mapreplay.floorplan import FloorPlan
+from mapreplay.grid import FREE, OCCUPIED, Grid, Origin
+
+PIXELS_PER_METRE: Final = 80
+MAX_METRES: Final = 200.0
+MAX_VERTICES: Final = 1_000_000
+MAX_JSON_BYTES: Final = 16 << 20
+MAX_MEMBERS: Final = 1_000_000
+READ_AHEAD_BYTES: Final = 64 << 20
+MARGIN: Final = 1
+"""Occupied cells around the house's bounding box."""
+
+_HOUSE_ID: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
+_SUBPIXEL_BITS: Final = 6
+
+
+@dataclass(frozen=True, eq=False)
+class House:
+    """What is used of a HouseExpo JSON file."""
+
+    id: str
+    vertices: npt.NDArray[np.float64]
+    """float64[n, 2]: x, y in metres, n >= 3."""
+
+
+def parse_house(text: bytes, name: str) -> House:
+    """Read one house; `name` is what errors call it.
+
+    Raises:
+        FloorPlanError: not JSON, keys missing, or coordinates that are not a house.
+    """
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise FloorPlanError(f"{name}: not a JSON file ({error})") from None
+    if not isinstance(data, dict):
+        raise FloorPlanError(f"{name}: expected a JSON object with 'id' and 'verts'")
+    missing = [key for key in ("id", "verts") if key not in data]
+    if missing:
+        raise FloorPlanError(f"{name}: key {missing[0]!r} is missing")
+    house_id = data["id"]
+    if not isinstance(house_id, str) or not _HOUSE_ID.fullmatch(house_id):
+        raise FloorPlanError(f"{name}: id {str(house_id)[:40]!r} is not letters, digits and . _ -")
+    verts = data["verts"]
+    if not isinstance(verts, list) or not 3 <= len(verts) <= MAX_VERTICES:
+        raise FloorPlanError(f"{name}: 'verts' must be a list of 3 to {MAX_VERTICES} points")
+    for vert in verts:
+        if not (isinstance(vert, list) and len(vert) == 2 and all(map(_is_metre, vert))):
+            raise FloorPlanError(
+                f"{name}: vertex {str(vert)[:60]} is not two finite numbers of metres"
+            )
+    vertices = np.array(verts, np.float64)
+    extent = float(np.ptp(vertices, axis=0).max())
+    if extent > MAX_METRES:
+        raise FloorPlanError(f"{name}: {extent:.4g} m across; at most {MAX_METRES:g} m are allowed")
+    return House(house_id, vertices)
+
+
+def _is_metre(value: object) -> bool:
+    return (
+        isinstance(value, (int, float))
+        and not isinstance(value, bool)
+        and math.isfinite(value)
+        and abs(value) < 1e6
+    )
+
+
+def rasterize(house: House, resolution: float) -> FloorPlan:
+    """Cells of `resolution` metres; free only where the whole cell lies inside the polygon.
+
+    What is outside of the polygon is occupied. Of a polygon that crosses itself, the inside
+    is what a line from there to infinity leaves by an odd number of crossings.
+
+    Raises:
+        FloorPlanError: the house has no free cell, or too many cells.
+    """
+    per_cell = max(1, math.ceil(PIXELS_PER_METRE * resolution))
+    low = house.vertices.min(axis=0)
+    sides = np.ceil(np.ptp(house.vertices, axis=0) / resolution - 1e-9).astype(int)
+    width, height = (int(n) + 2 * MARGIN for n in np.maximum(sides, 1))
+    if max(width, height) * per_cell > PIXELS_PER_METRE * MAX_METRES + 64 * per_cell:
+        raise FloorPlanError(
+            f"house {house.id}: {height} x {width} cells of {resolution} m are too many"
+        )
+    origin = low - MARGIN * resolution
+    fine = np.zeros((height * per_cell, width * per_cell), np.uint8)
+    # OpenCV's pixel centres are at whole numbers, ours at halves.
+    pixels = (house.vertices - origin) * (per_cell / resolution) - 0.5
+    points = np.rint(pixels * (1 << _SUBPIXEL_BITS)).astype(np.int32)
+    cv2.fillPoly(fine, [points], 1, lineType=cv2.LINE_8, shift=_SUBPIXEL_BITS)
+    inside = fine.reshape(height, per_cell, width, per_cell).min(axis=(1, 3)).astype(bool)
+    cells: Grid = np.where(inside, np.int8(FREE), np.int8(OCCUPIED))
+    try:
+        return FloorPlan(house.id, cells, resolution, Origin(float(origin[0]), float(origin[1])))
+    except FloorPlanError as error:
+        raise FloorPlanError(f"house {house.id}: {str(error).partition(': ')[2]}") from None
+
+
+class HouseExpoSource:
+    """HouseExpo houses in a ``.tar.gz``, a folder of JSON files, or one JSON file."""
+
+    default_predictor = "d2"
+
+    def __init__(self, path: Path, resolution: float = 0.2) -> None:
+        self._path = path
+        self._resolution = resolution
+        self._ids: list[str] | None = None
+        self._texts: dict[str, bytes] = {}
+
+    def ids(self) -> Sequence[str]:
+        """The names of the JSON files, without ending, in the order of the archive (sorted in
+        a folder).
+
+        Raises:
+            FloorPlanError: the file or folder cannot be read.
+        """
+        if self._ids is None:
+            self._ids = [house_id for house_id, _ in self._members(with_text=False)]
+            if not self._ids:
+                raise FloorPlanError(f"{self._path}: holds no JSON file")
+        return self._ids
+
+    def load(self, floor_plan_id: str) -> FloorPlan:
+        """Read and rasterize one house.
+
+        An archive can only be read from its start, so one pass also keeps the texts of the
+        houses that follow in `ids()`, up to 64 MB.
+
+        Raises:
+            FloorPlanError: there is no such house, or it is refused.
+        """
+        text = self._texts.pop(floor_plan_id, None)
+        if text is None:
+            text = self._read_from(floor_plan_id)
+        name = f"{self._path}: house {floor_plan_id}"
+        return rasterize(parse_house(text, name), self._resolution)
+
+    def _read_from(self, floor_plan_id: str) -> bytes:
+        if self._path.is_dir():
+            return _read_json(self._path / f"{floor_plan_id}.json")
+        found: bytes | None = None
+        size = 0
+        self._texts = {}
+        for house_id, text in self._members(with_text=True):
+            if house_id == floor_plan_id:
+                found = text
+            elif found is not None:
+                self._texts[house_id] = text
+                size += len(text)
+                if size > READ_AHEAD_BYTES:
+                    break
+        if found is None:
+            raise FloorPlanError(f"{self._path}: holds no house {floor_plan_id}")
+        return found
+
+    def _members(self, *, with_text: bool) -> Iterator[tuple[str, bytes]]:
+        if self._path.is_dir():
+            for path in sorted(self._path.glob("*.json")):
+                yield path.stem, _read_json(path) if with_text else b""
+        elif self._path.suffix == ".json":
+            yield self._path.stem, _read_json(self._path) if with_text else b""
+        else:
+            yield from _archive_members(self._path, with_text=with_text)
+
+
+def _read_json(path: Path) -> bytes:
+    try:
+        if path.stat().st_size > MAX_JSON_BYTES:
+            raise FloorPlanError(f"{path}: larger than {MAX_JSON_BYTES >> 20} MiB")
+        return path.read_bytes()
+    except OSError as error:
+        raise FloorPlanError(f"{path}: cannot be read ({error.strerror})") from None
+
+
+def _archive_members(path: Path, *, with_text: bool) -> Iterator[tuple[str, bytes]]:
+    """The JSON files of a tar archive, streamed: nothing is ever written to disk."""
+    try:
+        with tarfile.open(path, "r|*") as archive:
+            for count, member in enumerate(archive):
+                inner = PurePosixPath(member.name)
+                if inner.is_absolute() or ".." in inner.parts:
+                    raise FloorPlanError(f"{path}: refused, it holds the name {member.name!r}")
+                if count > MAX_MEMBERS or member.size > MAX_JSON_BYTES:
+                    raise FloorPlanError(
+                        f"{path}: refused, {member.name!r} is larger than "
+                        f"{MAX_JSON_BYTES >> 20} MiB or there are over {MAX_MEMBERS} files"
+                    )
+                if not member.isfile() or inner.suffix != ".json":
+                    continue
+                stream = archive.extractfile(member) if with_text else None
+                yield inner.stem, stream.read() if stream else b""
+    except (tarfile.TarError, EOFError, zlib.error, OSError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise FloorPlanError(f"{path}: not a readable tar archive ({reason})") from None
+
+
+def open_source(rest: str, resolution: float | None) -> HouseExpoSource:
+    """The source ``houseexpo``; see `mapreplay.plugins.Group.FLOORPLANS`."""
+    return HouseExpoSource(Path(rest), resolution or 0.2)

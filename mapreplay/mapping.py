@@ -1,0 +1,111 @@
+"""From observation and prediction to the map: quantize, threshold, fuse.
+
+Theta of the paper's block diagram. A prediction is quantized before it is used, so that the
+log, which keeps the quantized one, reproduces every map and decision bit for bit.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from fractions import Fraction
+
+import numpy as np
+import numpy.typing as npt
+
+from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Grid, Quantized
+
+
+class PredictionDtype(StrEnum):
+    """How P(occupied) is quantized, used and logged."""
+
+    UINT8 = "uint8"
+    UINT16 = "uint16"
+    FLOAT32 = "float32"
+
+
+def quantize(p_wall: npt.NDArray[np.floating], dtype: PredictionDtype) -> Quantized:
+    """Round P(occupied), float[H, W] in [0, 1], to the nearest value that `dtype` can hold.
+
+    Raises:
+        ValueError: a value is not a number in [0, 1].
+    """
+    if not (p_wall.min() >= 0 and p_wall.max() <= 1):  # also true of NaN
+        raise ValueError("P(occupied) must be in [0, 1] everywhere")
+    if dtype is PredictionDtype.FLOAT32:
+        return p_wall.astype(np.float32)
+    integer = np.uint8 if dtype is PredictionDtype.UINT8 else np.uint16
+    return np.rint(p_wall.astype(np.float64) * np.iinfo(integer).max).astype(integer)
+
+
+def dequantize(quantized: Quantized) -> npt.NDArray[np.float64]:
+    """P(occupied) as float64[H, W] in [0, 1]."""
+    if quantized.dtype.kind == "f":
+        return quantized.astype(np.float64)
+    return quantized / np.float64(np.iinfo(quantized.dtype).max)
+
+
+def quantum(quantized: Quantized) -> float:
+    """The step between two probabilities: 1/255, 1/65535, or the spacing of float32 at 1."""
+    if quantized.dtype.kind == "f":
+        return float(np.finfo(np.float32).eps)
+    return 1 / float(np.iinfo(quantized.dtype).max)
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """Confidence levels of the two classes, each in [0, 1] (paper, eq. thresholds)."""
+
+    delta_free: float = 0.93
+    delta_occupied: float = 0.95
+
+    @property
+    def free_at_most(self) -> Fraction:
+        """A cell is free if p <= this; exact for the decimal that was asked for."""
+        return (1 - Fraction(str(self.delta_free))) / 2
+
+    @property
+    def occupied_at_least(self) -> Fraction:
+        """A cell is occupied if p >= this, and not free."""
+        return (1 + Fraction(str(self.delta_occupied))) / 2
+
+
+def threshold(quantized: Quantized, thresholds: Thresholds) -> Grid:
+    """int8[H, W]: free, occupied, or unknown where the prediction is not sure enough.
+
+    Integer predictions are compared exactly, float32 ones with the threshold rounded to
+    float32. A value that satisfies both is free.
+    """
+    low, high = thresholds.free_at_most, thresholds.occupied_at_least
+    if quantized.dtype.kind == "f":
+        free = quantized <= np.float32(float(low))
+        occupied = quantized >= np.float32(float(high))
+    else:
+        top = int(np.iinfo(quantized.dtype).max)
+        free = quantized <= math.floor(low * top)
+        occupied = quantized >= math.ceil(high * top)
+    cells = np.where(occupied, np.int8(OCCUPIED), np.int8(UNKNOWN))
+    cells[free] = FREE
+    return cells
+
+
+def raw_classes(quantized: Quantized) -> Grid:
+    """int8[H, W]: occupied where p >= .5, else free; nothing is unknown."""
+    half = 0.5 if quantized.dtype.kind == "f" else np.iinfo(quantized.dtype).max // 2 + 1
+    return np.where(quantized >= half, np.int8(OCCUPIED), np.int8(FREE))
+
+
+def overlay(observed: Grid, predicted: Grid) -> Grid:
+    """int8[H, W]: what was observed, and `predicted` where nothing was."""
+    return np.where(observed == UNKNOWN, predicted, observed)
+
+
+def fuse(observed: Grid, quantized: Quantized | None, thresholds: Thresholds) -> Grid:
+    """The fused map: the observed one, completed where the prediction is sure.
+
+    Without a prediction it is the observed map itself.
+    """
+    if quantized is None:
+        return observed
+    return overlay(observed, threshold(quantized, thresholds))

@@ -1,0 +1,23 @@
+"""Random Exploration (paper, section "Path Planning Algorithms")."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mapreplay.planners import Choice
+from mapreplay.planning import Situation
+from mapreplay.randomness import scale
+
+
+class RandomExploration:
+    """Goes to a frontier cell drawn uniformly, and draws anew when that is none any more."""
+
+    def choose(self, situation: Situation) -> Choice:
+        """See `mapreplay.planners.Planner`."""
+        rating = np.ones(len(situation.frontier))
+        if situation.previous_target is not None:
+            same = (situation.frontier == situation.previous_target).all(axis=1)
+            if same.any():
+                return Choice(int(np.argmax(same)), rating, rating)
+        raw = situation.draws.raw()
+        return Choice(scale(raw, len(rating)), rating, rating, raw)

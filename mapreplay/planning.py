@@ -1,0 +1,128 @@
+"""What a planner plans with: shortest paths, the frontier, and a situation to decide in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from mapreplay import kernels
+from mapreplay.grid import UNKNOWN, Cell, Grid, Quantized
+from mapreplay.kernels import SQRT2
+from mapreplay.mapping import dequantize
+from mapreplay.randomness import Draws
+from mapreplay.sensor import Sensor
+from mapreplay.step import Cells
+
+Float64s = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Paths:
+    """Shortest paths from one cell to all that can be reached over free cells (8-connected).
+
+    A cost is the integer pair (straight, diagonal), worth straight + diagonal * sqrt 2, so
+    that equal costs are equal.
+    """
+
+    straight: npt.NDArray[np.int32]
+    """int32[H, W], -1 where there is no path."""
+    diagonal: npt.NDArray[np.int32]
+
+    def reaches(self, cell: Cell) -> bool:
+        """Whether there is a path to `cell`."""
+        return bool(self.straight[cell] >= 0)
+
+    def costs(self, cells: Cells) -> Float64s:
+        """float64[n]: the length of the shortest path to each cell, in cells."""
+        rows, cols = cells[:, 0], cells[:, 1]
+        return self.straight[rows, cols] + self.diagonal[rows, cols] * SQRT2
+
+    def to(self, cell: Cell) -> Cells:
+        """int32[n, 2]: the shortest path to a cell that can be reached, both ends included.
+
+        Of several, going back from the target, the one whose last moves come first in the
+        order E, N, W, S, NE, NW, SW, SE.
+        """
+        path: Cells = kernels.walk_back(
+            self.straight, self.diagonal, cell.row, cell.col, kernels.MOVES
+        )
+        return path
+
+
+def shortest_paths(plan_map: Grid, agent: Cell) -> Paths:
+    """All shortest paths from `agent` over the free cells of `plan_map` (int8[H, W])."""
+    straight = np.empty(plan_map.shape, np.int32)
+    diagonal = np.empty(plan_map.shape, np.int32)
+    # Each cell enters each queue at most once for each of four neighbours.
+    queue = np.empty((2, 4 * plan_map.size + 1, 3), np.int32)
+    kernels.shortest_paths(
+        plan_map, agent.row, agent.col, straight, diagonal, queue, kernels.MOVES
+    )
+    return Paths(straight, diagonal)
+
+
+def frontier(paths: Paths, build_map: Grid) -> Cells:
+    """int32[n, 2], row-major: cells within reach that touch an unknown cell of `build_map`.
+
+    `paths` are over the free cells of the map that is planned on (E); `build_map` is the map
+    under construction (U). Touching is by 4-neighbourhood; if no cell does, by
+    8-neighbourhood, so that corners can be finished.
+    """
+    for neighbours in (4, 8):
+        cells: Cells = kernels.touching_unknown(
+            paths.straight, build_map, neighbours, kernels.MOVES
+        )
+        if len(cells):
+            break
+    return cells
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """All that a planner may look at: maps, pose, the last target, chance. No truth."""
+
+    agent: Cell
+    plan_map: Grid
+    """int8[H, W], E: the map that is planned on."""
+    observed: Grid
+    """int8[H, W]."""
+    prediction: Quantized | None
+    """The quantized prediction when planning on the fused map, else None."""
+    frontier: Cells
+    """int32[n, 2], n >= 1, row-major."""
+    paths: Paths
+    previous_target: Cell | None
+    draws: Draws
+    """This step's random numbers."""
+    sensor: Sensor
+
+    @cached_property
+    def costs(self) -> Float64s:
+        """float64[n]: length of the shortest path to each frontier cell, in cells."""
+        return self.paths.costs(self.frontier)
+
+    @cached_property
+    def uncertainty(self) -> Float64s:
+        """float64[H, W]: 1 - c, what is to be gained by seeing a cell, in [0, 1].
+
+        c is 1 where a cell was observed, else |2 p - 1| when planning on the fused map and
+        0 when planning on observations.
+        """
+        unseen = self.observed == UNKNOWN
+        if self.prediction is None:
+            return unseen.astype(np.float64)
+        confidence = np.abs(2 * dequantize(self.prediction) - 1)
+        return np.where(unseen, 1 - confidence, 0.0)
+
+    def gains(self) -> Float64s:
+        """float64[n]: the sum of `uncertainty` over the cells that the sensor would mark from
+        each frontier cell on `plan_map`, where unknown cells are transparent."""
+        gains = np.empty(len(self.frontier), np.float64)
+        seen = np.zeros(self.plan_map.shape, np.int64)
+        kernels.view_gains(
+            self.plan_map, self.uncertainty, self.frontier, self.sensor.offsets, seen, gains
+        )
+        return gains

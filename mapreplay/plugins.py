@@ -1,0 +1,93 @@
+"""Planners, predictors, floor-plan sources and metrics by name, through entry points.
+
+Our own come through the same door as anybody's. Listing loads nothing; a plug-in that
+cannot be loaded is named with its distribution when it is asked for, and harms no other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from mapreplay.errors import MapreplayError, PluginError
+
+
+class Group(StrEnum):
+    """The entry-point groups, and what one of each is called with."""
+
+    PLANNERS = "mapreplay.planners"
+    """() -> mapreplay.planners.Planner"""
+    PREDICTORS = "mapreplay.predictors"
+    """(device: str) -> mapreplay.predictors.Predictor"""
+    FLOORPLANS = "mapreplay.floorplans"
+    """(rest_of_the_spec: str, resolution: float | None) -> mapreplay.floorplans.FloorPlanSource"""
+    METRICS = "mapreplay.metrics"
+    """() -> mapreplay.analysis.metrics.Metric"""
+
+    @property
+    def noun(self) -> str:
+        """What one is called in messages."""
+        return {"planners": "planner", "predictors": "predictor", "floorplans": "floor-plan source",
+                "metrics": "metric"}[self.value.rpartition(".")[2]]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """A name and who provides it."""
+
+    name: str
+    distribution: str
+    entry: EntryPoint
+
+
+def available(group: Group) -> dict[str, Plugin]:
+    """All plug-ins of a group by name, sorted; nothing is imported.
+
+    Of two with one name ours wins, so that an installed package cannot silently change what
+    a built-in name means.
+    """
+    found: dict[str, Plugin] = {}
+    for entry in entry_points(group=group.value):
+        owner = entry.dist.name if entry.dist else "an unknown distribution"
+        if entry.name not in found or owner == "mapreplay":
+            found[entry.name] = Plugin(entry.name, owner, entry)
+    return dict(sorted(found.items()))
+
+
+def load(group: Group, name: str) -> Callable[..., Any]:
+    """The factory called `name`.
+
+    Raises:
+        PluginError: there is none, or importing it failed.
+    """
+    plugins = available(group)
+    if name not in plugins:
+        raise PluginError(f"unknown {group.noun} {name!r}; known: {', '.join(plugins) or 'none'}")
+    plugin = plugins[name]
+    try:
+        factory = plugin.entry.load()
+    except Exception as error:  # whatever a foreign module does while it is imported
+        raise PluginError(_broken(group, plugin, error)) from error
+    if not callable(factory):
+        raise PluginError(f"{group.noun} {name!r} of {plugin.distribution} is not callable")
+
+    def guarded(*args: Any) -> Any:
+        try:
+            return factory(*args)
+        except MapreplayError:
+            raise
+        except Exception as error:
+            raise PluginError(_broken(group, plugin, error)) from error
+
+    return guarded
+
+
+def _broken(group: Group, plugin: Plugin, error: Exception) -> str:
+    reason = " ".join(str(error).split()) or "no message"
+    return (
+        f"{group.noun} {plugin.name!r} of {plugin.distribution} cannot be loaded "
+        f"({type(error).__name__}: {reason})"
+    )

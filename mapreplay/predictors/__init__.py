@@ -1,0 +1,65 @@
+"""Map predictors: from what was observed to the probability of a wall in every cell."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from mapreplay import plugins
+from mapreplay.errors import PluginError
+from mapreplay.grid import Grid
+from mapreplay.step import PredictorIdentity
+
+
+class Predictor(Protocol):
+    """Anything that can complete a map."""
+
+    @property
+    def identity(self) -> PredictorIdentity:
+        """Name, and hash of the weights."""
+        ...
+
+    def predict(self, observed: Grid) -> npt.NDArray[np.float32] | None:
+        """float32[H, W], P(occupied) in [0, 1] for every cell of `observed` (int8[H, W]).
+
+        None means no prediction: then the fused map is the observed one. The same map must
+        always give the same numbers.
+        """
+        ...
+
+
+class NoPredictor:
+    """Predicts nothing."""
+
+    identity = PredictorIdentity("none", "")
+
+    def predict(self, observed: Grid) -> None:
+        """See `Predictor`."""
+
+
+def no_predictor(device: str) -> NoPredictor:
+    """The predictor ``none``."""
+    return NoPredictor()
+
+
+def load_predictor(name: str, device: str = "cpu") -> Predictor:
+    """The predictor registered as `name`, or the network in the safetensors file `name`.
+
+    Raises:
+        PluginError: there is none, or it is broken.
+        WeightsError: the file cannot be read.
+    """
+    if name.endswith(".safetensors"):
+        from mapreplay.predictors.trained import load_network  # torch takes seconds to import
+
+        return load_network(Path(name), device)
+    try:
+        factory = plugins.load(plugins.Group.PREDICTORS, name)
+    except PluginError as error:
+        if name in plugins.available(plugins.Group.PREDICTORS):
+            raise
+        raise PluginError(f"{error}, or a .safetensors file") from None
+    return cast(Predictor, factory(device))

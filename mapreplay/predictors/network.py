@@ -1,0 +1,81 @@
+"""The paper's map predictor: a convolutional autoencoder with symmetric skip connections.
+
+Section "Architecture": a 1x1x3 input layer without bias that turns the one-hot cell into one
+learned value; nine encoding and nine decoding layers of 25 3x3 kernels, every third with
+stride 2; symmetric (additive) skips; that learned input stacked on to the input of the last
+hidden layer. What the paper leaves open is ours: ReLU, 2D transposed convolutions, a 3x3
+output convolution to one logit.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Grid
+
+KERNELS: Final = 25
+LAYERS: Final = 9
+STRIDE_MULTIPLE: Final = 8
+"""Maps are padded with unknown cells to a multiple of this."""
+
+
+class MapPredictor(nn.Module):
+    """One-hot maps float[B, 3, H, W] (occupied, free, unknown) to logits float[B, 1, H, W].
+
+    H and W are multiples of 8.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.embed = nn.Conv2d(3, 1, 1, bias=False)
+        self.encoder = nn.ModuleList(
+            nn.Conv2d(KERNELS if i else 1, KERNELS, 3, stride=2 if i % 3 == 2 else 1, padding=1)
+            for i in range(LAYERS)
+        )
+        self.decoder = nn.ModuleList(
+            nn.ConvTranspose2d(KERNELS, KERNELS, 3, stride=2, padding=1, output_padding=1)
+            if i % 3 == 0
+            else nn.ConvTranspose2d(KERNELS, KERNELS, 3, padding=1)
+            for i in range(LAYERS)
+        )
+        self.head = nn.Conv2d(KERNELS + 1, 1, 3, padding=1)
+
+    def forward(self, one_hot: Tensor) -> Tensor:
+        """See the class."""
+        embedded: Tensor = self.embed(one_hot)
+        hidden = embedded
+        skips = []
+        for layer in self.encoder:
+            hidden = functional.relu(layer(hidden))
+            skips.append(hidden)
+        skips.pop()  # the latent code itself
+        for layer in self.decoder:
+            hidden = layer(hidden)
+            if skips:
+                hidden = hidden + skips.pop()
+            hidden = functional.relu(hidden)
+        logits: Tensor = self.head(torch.cat([hidden, embedded], dim=1))
+        return logits
+
+
+def pad_to_multiple(cells: Grid) -> Grid:
+    """`cells` with unknown rows and columns added at the high ends, to a multiple of 8."""
+    height, width = cells.shape
+    return np.pad(
+        cells,
+        ((0, -height % STRIDE_MULTIPLE), (0, -width % STRIDE_MULTIPLE)),
+        constant_values=UNKNOWN,
+    )
+
+
+def one_hot(cells: npt.NDArray[np.int8]) -> Tensor:
+    """int8[B, H, W] cells to float32[B, 3, H, W], channels last in memory."""
+    maps = torch.from_numpy(np.ascontiguousarray(cells))
+    channels = torch.stack([maps == OCCUPIED, maps == FREE, maps == UNKNOWN], dim=1)
+    return channels.to(torch.float32).contiguous(memory_format=torch.channels_last)

@@ -1,0 +1,235 @@
+"""What is known of an episode: the types that the simulator makes and the log keeps.
+
+A `Step` holds everything of one moment; an `EpisodeHeader` what holds for all of them.
+Recorders take these, logs give them back bit for bit, and every analysis starts from them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from enum import StrEnum
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from mapreplay.config import EpisodeConfig, MapKind
+from mapreplay.floorplan import FloorPlan
+from mapreplay.grid import Cell, Grid, Quantized
+from mapreplay.kernels import SQRT2
+from mapreplay.mapping import Thresholds
+from mapreplay.sensor import Hits, Sensor
+
+FIRST_STAMP_NS: Final = 1_000_000_000
+STEP_NS: Final = 100_000_000
+
+Cells = npt.NDArray[np.int32]
+"""int32[n, 2]: (row, col) of n cells."""
+
+
+class Mode(StrEnum):
+    """Which maps the agent planned on."""
+
+    NORMAL = "normal"
+    FAIL_SAFE = "fail-safe"
+
+
+class Outcome(StrEnum):
+    """How an episode ended."""
+
+    MAPPED = "mapped"
+    SEALED_IN = "sealed_in"
+    OUT_OF_STEPS = "out_of_steps"
+
+
+class EventKind(StrEnum):
+    """What is worth a line in the log's events."""
+
+    SEALED_IN = "sealed_in"
+    RELEASED = "released"
+    TARGET_REACHED = "target_reached"
+    CORRECT_REACHED = "correct_reached"
+    OUTCOME = "outcome"
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened at a step, with a sentence about it."""
+
+    kind: EventKind
+    text: str
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A frontier cell as the planner rated it."""
+
+    cell: Cell
+    utility: float
+    reward: float
+    straight: int
+    """Straight moves on the shortest path to it."""
+    diagonal: int
+
+    @property
+    def cost(self) -> float:
+        """Length of the shortest path, in cells."""
+        return self.straight + self.diagonal * SQRT2
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """Where the agent goes next, and what it could have done instead."""
+
+    chosen: Candidate
+    path: Cells
+    """int32[n, 2] from the agent's cell to the target's, n >= 2; the move is to path[1]."""
+    mode: Mode
+    rivals: tuple[Candidate, ...]
+    """The best other frontier cells, best first, at most `MAX_RIVALS`."""
+    random_draw: int | None
+    """The raw 64-bit number that decided, where chance did."""
+
+    @property
+    def target(self) -> Cell:
+        """The chosen frontier cell."""
+        return self.chosen.cell
+
+    @property
+    def next_cell(self) -> Cell:
+        """Where the agent will be one step later."""
+        return Cell(int(self.path[1, 0]), int(self.path[1, 1]))
+
+
+MAX_RIVALS: Final = 5
+
+
+@dataclass(frozen=True)
+class StepMetrics:
+    """Scores of a step's maps on explorable cells; NaN where undefined.
+
+    Without a suffix: of the map under construction (`build`). `_observed`, `_thresholded`
+    and `_raw`: of the observations, of the prediction after both thresholds, and of the
+    prediction at p >= .5. Unknown cells count as not occupied.
+    """
+
+    path_length: float
+    """Metres travelled so far."""
+    coverage_observed: float
+    coverage_fused: float
+    correct_coverage_observed: float
+    correct_coverage_fused: float
+    precision: float
+    recall: float
+    f1: float
+    iou: float
+    precision_observed: float
+    recall_observed: float
+    f1_observed: float
+    iou_observed: float
+    precision_thresholded: float
+    recall_thresholded: float
+    f1_thresholded: float
+    iou_thresholded: float
+    precision_raw: float
+    recall_raw: float
+    f1_raw: float
+    iou_raw: float
+    brier: float
+    log_loss: float
+    brier_unobserved: float
+    log_loss_unobserved: float
+
+    @classmethod
+    def names(cls) -> tuple[str, ...]:
+        """The field names, in order: columns of every table of steps."""
+        return tuple(f.name for f in fields(cls))
+
+
+@dataclass(frozen=True)
+class StepProfile:
+    """Wall-clock nanoseconds of each stage of a step."""
+
+    sense: int
+    predict: int
+    fuse: int
+    score: int
+    plan: int
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """The state after `index` moves, what was believed then, and what was decided."""
+
+    index: int
+    agent: Cell
+    hits: Hits
+    """int16[rays], see `mapreplay.sensor`."""
+    observed: Grid
+    """int8[H, W]."""
+    p_wall: Quantized | None
+    """The prediction as used, or None without a predictor."""
+    fused: Grid
+    """int8[H, W]."""
+    frontier: Cells
+    """int32[n, 2], row-major: what the planner chose from."""
+    decision: Decision | None
+    """None at the last step."""
+    metrics: StepMetrics
+    events: tuple[Event, ...]
+    outcome: Outcome | None
+    """None before the last step."""
+    profile: StepProfile | None
+    """Not part of what happened: None in a log that was recorded without it."""
+
+    @property
+    def stamp_ns(self) -> int:
+        """Simulated time: 1 s + 0.1 s a move, in nanoseconds."""
+        return FIRST_STAMP_NS + self.index * STEP_NS
+
+    @property
+    def mode(self) -> Mode:
+        """The decision's mode; normal where nothing was decided."""
+        return self.decision.mode if self.decision else Mode.NORMAL
+
+    def map_of(self, kind: MapKind) -> Grid:
+        """The observed or the fused map."""
+        return self.observed if kind is MapKind.OBSERVED else self.fused
+
+
+@dataclass(frozen=True)
+class PredictorIdentity:
+    """Which predictor was used."""
+
+    name: str
+    sha256: str
+    """Of its weights; empty if it has none."""
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeHeader:
+    """All that a log says once."""
+
+    config: EpisodeConfig
+    floor_plan: FloorPlan
+    start: Cell
+    max_steps: int
+    predictor: PredictorIdentity
+    versions: tuple[tuple[str, str], ...]
+    """(library, version) of what the result depends on, sorted."""
+
+    @property
+    def sensor(self) -> Sensor:
+        """The sensor that the configuration describes."""
+        return Sensor(self.config.rays, self.config.reach)
+
+    @property
+    def thresholds(self) -> Thresholds:
+        """The thresholds that the configuration describes."""
+        return Thresholds(self.config.delta_free, self.config.delta_occupied)
+
+    @property
+    def file_name(self) -> str:
+        """``<floor-plan>__<planner>__<plan-on>-<build>__s<seed>.mcap``."""
+        c = self.config
+        return f"{self.floor_plan.id}__{c.planner}__{c.plan_on}-{c.build}__s{c.seed}.mcap"

@@ -1,0 +1,238 @@
+"""Training: the loop, its checkpoints, and the held-out curve."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import torch
+from torch.nn import functional
+
+from mapreplay.errors import WeightsError
+from mapreplay.predictors.network import MapPredictor, one_hot
+from mapreplay.predictors.weights import load_tensors, save_tensors
+from mapreplay import scores
+from mapreplay.training.dataset import Batch, Epoch, TrainingPlan, make_batch, padded_shape
+
+VALIDATION_SEED: Final = 2**63
+"""Apart from every training seed, so that no validation observation was trained on."""
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """What the result depends on, beside the floor plans."""
+
+    samples: int = 400_000
+    """Observation maps to train on, in all."""
+    batch: int = 32
+    """Maps of 64 x 64 cells a batch; larger maps come in smaller batches."""
+    learning_rate: float = 2e-3
+    """Peak; warmed up over the first hundredth, then a cosine to zero."""
+    seed: int = 0
+    validate_every: int = 25_000
+    """Samples between two points of the held-out curve."""
+    bfloat16: bool = False
+    """Compute in bfloat16 where that is allowed: over twice as fast on a CPU with AMX."""
+
+
+@dataclass(frozen=True)
+class CurvePoint:
+    """One point of the held-out curve."""
+
+    samples: int
+    train_loss: float
+    """Mean binary cross-entropy a cell since the last point, nats."""
+    validation_loss: float
+    validation_f1: float
+    """F1 of the raw prediction (p >= .5) on explorable cells, pooled over the plans."""
+    seconds: float
+    """Training time so far, over all resumptions."""
+
+
+@dataclass
+class _State:
+    """Where training stands; all of it is in the checkpoint."""
+
+    samples: int = 0
+    epoch: int = 0
+    batch: int = 0
+    seconds: float = 0.0
+    loss_sum: float = 0.0
+    loss_batches: int = 0
+    curve: list[CurvePoint] = field(default_factory=list)
+
+
+class Trainer:
+    """Trains one network; `run` yields a curve point now and then until it is done."""
+
+    def __init__(
+        self,
+        plans: Sequence[TrainingPlan],
+        validation: Sequence[TrainingPlan],
+        config: TrainingConfig,
+        device: str,
+        checkpoint: Path,
+    ) -> None:
+        torch.manual_seed(config.seed)
+        self.plans = plans
+        self.config = config
+        self.device = torch.device(device)
+        self.checkpoint = checkpoint
+        self.model = MapPredictor().to(self.device, memory_format=torch.channels_last)
+        self.optimizer = torch.optim.Adam(self.model.parameters(), lr=config.learning_rate)
+        self.validation = _validation_batches(validation, config)
+        self.state = _State()
+
+    @property
+    def samples(self) -> int:
+        """Observation maps trained on so far."""
+        return self.state.samples
+
+    @property
+    def curve(self) -> list[CurvePoint]:
+        """The held-out curve so far."""
+        return self.state.curve
+
+    def run(self) -> Iterator[CurvePoint | int]:
+        """Train to the end; yields the samples done after each batch, and the curve's points.
+
+        The checkpoint is written with every point of the curve.
+        """
+        config, state = self.config, self.state
+        cells = config.batch * 64 * 64
+        while state.samples < config.samples:
+            epoch = Epoch(self.plans, cells, config.seed, state.epoch)
+            for group in epoch.batches()[state.batch :]:
+                began = time.monotonic()
+                self._step(epoch.batch(group))
+                before = state.samples
+                state.samples += len(group)
+                state.batch += 1
+                state.seconds += time.monotonic() - began
+                done = state.samples >= config.samples
+                yield state.samples
+                if done or before // config.validate_every != state.samples // config.validate_every:
+                    yield self._curve_point()
+                    self.save()
+                if done:
+                    return
+            state.epoch += 1
+            state.batch = 0
+
+    def _step(self, batch: Batch) -> None:
+        self.model.train()
+        share = self.state.samples / self.config.samples
+        warm = min(1.0, share * 100 + 1e-3)
+        for group in self.optimizer.param_groups:
+            group["lr"] = (
+                self.config.learning_rate * warm * 0.5 * (1 + math.cos(math.pi * min(share, 1.0)))
+            )
+        loss = self._loss(batch)
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
+        self.optimizer.step()
+        self.state.loss_sum += loss.item()
+        self.state.loss_batches += 1
+
+    def _logits(self, batch: Batch) -> torch.Tensor:
+        with torch.autocast(
+            self.device.type, dtype=torch.bfloat16, enabled=self.config.bfloat16
+        ):
+            logits: torch.Tensor = self.model(one_hot(batch.observed).to(self.device))
+        return logits[:, 0].float()
+
+    def _loss(self, batch: Batch) -> torch.Tensor:
+        """Binary cross-entropy (paper, section "Optimization"), mean over known cells."""
+        truth = torch.from_numpy(batch.truth).to(self.device)
+        loss = functional.binary_cross_entropy_with_logits(
+            self._logits(batch), (truth > 0).float(), reduction="none"
+        )
+        known = truth >= 0
+        return (loss * known).sum() / known.sum()
+
+    def _curve_point(self) -> CurvePoint:
+        state = self.state
+        loss = self._validate()
+        point = CurvePoint(
+            state.samples,
+            state.loss_sum / max(state.loss_batches, 1),
+            *loss,
+            round(state.seconds, 1),
+        )
+        state.curve.append(point)
+        state.loss_sum, state.loss_batches = 0.0, 0
+        return point
+
+    @torch.inference_mode()
+    def _validate(self) -> tuple[float, float]:
+        self.model.eval()
+        losses, sizes = [], []
+        counts = np.zeros((3, 3), np.int64)
+        for batch in self.validation:
+            losses.append(self._loss(batch).item())
+            sizes.append(len(batch.truth))
+            raw = np.where(self._logits(batch).cpu().numpy() >= 0, 100, 0).astype(np.int8)
+            for said, truth, region in zip(raw, batch.truth, batch.explorable, strict=True):
+                counts += scores.tally(said, truth, region)
+        return float(np.average(losses, weights=sizes)), scores.score(counts).f1
+
+    def save(self) -> None:
+        """Write the checkpoint: weights, optimizer and position, nothing pickled."""
+        tensors = {f"model.{name}": value for name, value in self.model.state_dict().items()}
+        for i, slots in self.optimizer.state_dict()["state"].items():
+            tensors |= {f"adam.{i}.{name}": torch.as_tensor(slots[name]) for name in sorted(slots)}
+        state = {
+            "config": asdict(self.config),
+            "plans": len(self.plans),
+            "state": asdict(self.state),
+        }
+        save_tensors(self.checkpoint, tensors, {"mapreplay.training": json.dumps(state)})
+
+    def resume(self) -> None:
+        """Go on from the checkpoint.
+
+        Raises:
+            WeightsError: it cannot be read, or was made with another configuration.
+        """
+        tensors, notes = load_tensors(self.checkpoint)
+        saved = json.loads(notes.get("mapreplay.training", "null"))
+        if saved is None:
+            raise WeightsError(f"{self.checkpoint}: not a training checkpoint")
+        if saved["config"] != asdict(self.config) or saved["plans"] != len(self.plans):
+            raise WeightsError(
+                f"{self.checkpoint}: was made with {saved['config']} on {saved['plans']} plans; "
+                "resume with the same, or choose another --out"
+            )
+        curve = [CurvePoint(**point) for point in saved["state"].pop("curve")]
+        self.state = _State(**saved["state"], curve=curve)
+        self.model.load_state_dict(
+            {k.removeprefix("model."): v for k, v in tensors.items() if k.startswith("model.")}
+        )
+        slots: dict[int, dict[str, torch.Tensor]] = {}
+        for key, value in tensors.items():
+            if key.startswith("adam."):
+                _, number, name = key.split(".")
+                slots.setdefault(int(number), {})[name] = value
+        groups = self.optimizer.state_dict()["param_groups"]
+        self.optimizer.load_state_dict({"state": slots, "param_groups": groups})
+
+
+def _validation_batches(plans: Sequence[TrainingPlan], config: TrainingConfig) -> list[Batch]:
+    """One observation run of each plan, the same at every point of the curve."""
+    by_shape: dict[tuple[int, int], list[TrainingPlan]] = {}
+    for plan in plans:
+        by_shape.setdefault(padded_shape(plan), []).append(plan)
+    batches = []
+    for (height, width), group in sorted(by_shape.items()):
+        size = max(1, config.batch * 64 * 64 // (height * width))
+        for i in range(0, len(group), size):
+            part = group[i : i + size]
+            batches.append(make_batch(part, [0] * len(part), VALIDATION_SEED))
+    return batches

@@ -1,0 +1,1 @@
+"""What is kept: a step to and from MCAP, and a log to Rerun."""
