@@ -24,6 +24,7 @@ class MapKind(StrEnum):
 
 MAX_SEED = 2**63 - 1
 _MAX_CONFIG_BYTES = 1 << 20
+_MAX_NAME = 512
 
 Share = Annotated[float, Field(ge=0, le=1)]
 
@@ -35,7 +36,9 @@ class EpisodeConfig(BaseModel):
     value and what is allowed.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False
+    )
 
     planner: str = "cost-utility"
     predictor: str = "none"
@@ -63,8 +66,8 @@ class EpisodeConfig(BaseModel):
     @field_validator("planner", "predictor")
     @classmethod
     def _name(cls, value: str) -> str:
-        if not value or len(value) > 512:
-            raise ValueError("must be a name of 1 to 512 characters")
+        if not 1 <= len(value) <= _MAX_NAME:
+            raise ValueError(f"be a name of 1 to {_MAX_NAME} characters")
         return value
 
     @classmethod
@@ -83,6 +86,43 @@ class EpisodeConfig(BaseModel):
     def start_cell(self) -> Cell | None:
         """`start` as a cell."""
         return None if self.start is None else Cell(*self.start)
+
+
+class RunConfig(EpisodeConfig):
+    """What `mapreplay run` does: the keys of its TOML file and of its command line."""
+
+    predictor: str | None = None  # type: ignore[assignment]
+    """None is the one that suits the floor plans, or none where nothing asks for it."""
+    floorplans: str = "procedural:60000"
+    ids: Path | None = None
+    """A file with one floor-plan id a line."""
+    resolution: Annotated[float, Field(gt=0, le=10)] | None = None
+    """Metres a cell, for sources that are rasterized."""
+    episodes: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
+    """None is one for each floor plan. More than there are plans: again, with the next seed."""
+    jobs: Annotated[int, Field(ge=1, le=1024)] = 1
+    device: str = "cpu"
+    profile: bool = False
+    out: Path | None = None
+
+    @field_validator("predictor")
+    @classmethod
+    def _name(cls, value: str | None) -> str | None:
+        if value is not None and not 1 <= len(value) <= _MAX_NAME:
+            raise ValueError(f"be a name of 1 to {_MAX_NAME} characters")
+        return value
+
+    def episode(self, default_predictor: str, seed: int) -> EpisodeConfig:
+        """The configuration of one episode.
+
+        Without a predictor by name, `default_predictor` is used if a fused map is planned on
+        or built, and none otherwise.
+        """
+        values = {key: getattr(self, key) for key in EpisodeConfig.model_fields}
+        if self.predictor is None:
+            needed = MapKind.FUSED in (self.plan_on, self.build)
+            values["predictor"] = default_predictor if needed else "none"
+        return EpisodeConfig.of(values | {"seed": seed})
 
 
 def describe(error: ValidationError) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from importlib.metadata import version
 from time import perf_counter_ns
 from typing import Final
@@ -17,7 +18,7 @@ from mapreplay.errors import MapreplayError
 from mapreplay.floorplan import FloorPlan, explorable
 from mapreplay.grid import FREE, UNKNOWN, Cell, Grid, Mask, Quantized
 from mapreplay.kernels import SQRT2
-from mapreplay.planners import Planner, load_planner
+from mapreplay.planners import Choice, Planner, load_planner
 from mapreplay.planning import Paths, Situation, frontier, shortest_paths
 from mapreplay.predictors import Predictor, load_predictor
 from mapreplay.randomness import Draws, Purpose
@@ -93,7 +94,7 @@ def run_episode(episode: Episode) -> Iterator[Step]:
     Raises:
         MapreplayError: the predictor or planner returned something impossible.
     """
-    header = episode.header
+    header, sensor = episode.header, episode.header.sensor
     config, truth = header.config, header.floor_plan.cells
     agent, straight, diagonal = header.start, 0, 0
     observed: Grid = np.full(truth.shape, UNKNOWN, np.int8)
@@ -101,8 +102,8 @@ def run_episode(episode: Episode) -> Iterator[Step]:
     sealed = corrected = False
     for index in range(header.max_steps + 1):
         clock = [perf_counter_ns()]
-        hits = sense(truth, agent, header.sensor)
-        observed = accumulate(observed, agent, hits, header.sensor)
+        hits = sense(truth, agent, sensor)
+        observed = accumulate(observed, agent, hits, sensor)
         clock.append(perf_counter_ns())
         p_wall = _predict(episode, observed)
         clock.append(perf_counter_ns())
@@ -112,11 +113,7 @@ def run_episode(episode: Episode) -> Iterator[Step]:
         metrics = measure(header, episode.explorable, observed, p_wall, fused, path_length)
         clock.append(perf_counter_ns())
         view = look_around(config, agent, observed, fused)
-        covered = (
-            metrics.coverage_observed
-            if config.build is MapKind.OBSERVED
-            else metrics.coverage_fused
-        )
+        covered = metrics.coverage(config.build)
         outcome, decision = None, None
         if covered >= config.coverage:
             outcome = Outcome.MAPPED
@@ -134,11 +131,7 @@ def run_episode(episode: Episode) -> Iterator[Step]:
         if sealed and view.mode is Mode.NORMAL and outcome is not Outcome.SEALED_IN:
             events.append(Event(EventKind.RELEASED, "the fused map has a frontier again"))
         sealed = view.mode is Mode.FAIL_SAFE
-        right = (
-            metrics.correct_coverage_observed
-            if config.build is MapKind.OBSERVED
-            else metrics.correct_coverage_fused
-        )
+        right = metrics.correct_coverage(config.build)
         if right >= config.correct_coverage and not corrected:
             corrected = True
             events.append(
@@ -162,7 +155,7 @@ def run_episode(episode: Episode) -> Iterator[Step]:
             metrics=metrics,
             events=tuple(events),
             outcome=outcome,
-            profile=StepProfile(*np.diff(clock).tolist()),
+            profile=StepProfile(*(after - before for before, after in pairwise(clock))),
         )
         if decision is None:
             return
@@ -256,24 +249,33 @@ def decide(
             f"and rated {len(choice.utility)}"
         )
 
-    def candidate(i: int) -> Candidate:
-        cell = Cell(int(view.frontier[i, 0]), int(view.frontier[i, 1]))
-        return Candidate(
-            cell,
-            utility=float(choice.utility[i]),
-            reward=float(choice.reward[i]),
-            straight=int(view.paths.straight[cell]),
-            diagonal=int(view.paths.diagonal[cell]),
-        )
-
-    ranking = np.lexsort((situation.costs, -choice.utility))[: MAX_RIVALS + 1].tolist()
-    chosen = candidate(choice.index)
+    ranking = [choice.index]
+    order = np.lexsort((situation.costs, -choice.utility))[: MAX_RIVALS + 1]
+    ranking += [i for i in order.tolist() if i != choice.index][:MAX_RIVALS]
+    candidates = _candidates(view, choice, ranking)
     return Decision(
-        chosen=chosen,
-        path=view.paths.to(chosen.cell),
+        chosen=candidates[0],
+        path=view.paths.to(candidates[0].cell),
         mode=view.mode,
-        rivals=tuple(candidate(i) for i in ranking if i != choice.index)[:MAX_RIVALS],
+        rivals=candidates[1:],
         random_draw=choice.random_draw,
+    )
+
+
+def _candidates(view: View, choice: Choice, indices: list[int]) -> tuple[Candidate, ...]:
+    """The frontier cells of those numbers, with how they were rated."""
+    cells = view.frontier[indices]
+    rows, cols = cells[:, 0], cells[:, 1]
+    return tuple(
+        Candidate(Cell(*cell), *rest)
+        for cell, *rest in zip(
+            cells.tolist(),
+            choice.utility[indices].tolist(),
+            choice.reward[indices].tolist(),
+            view.paths.straight[rows, cols].tolist(),
+            view.paths.diagonal[rows, cols].tolist(),
+            strict=True,
+        )
     )
 
 

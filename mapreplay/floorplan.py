@@ -17,7 +17,8 @@ from mapreplay.grid import FREE, OCCUPIED, Cell, Grid, Mask, Origin, check_grid
 MAX_SIDE = 4096
 """Cells along the longer side above which a floor plan is refused (16.7 million cells)."""
 
-_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,127}")
+ID_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,127}")
+"""What a floor plan may be called, because ids become names of files."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +38,7 @@ class FloorPlan:
         Raises:
             FloorPlanError: cells of another type, too many, or none of them free.
         """
-        if not _ID.fullmatch(self.id):  # ids become names of files
+        if not ID_PATTERN.fullmatch(self.id):
             raise FloorPlanError(
                 f"floor plan {self.id[:40]!r}: an id is 1 to 128 letters, digits and . _ + -"
             )
@@ -125,4 +126,5 @@ def explorable(cells: Grid, start: Cell) -> Mask:
     for dr in (0, 1, 2):
         for dc in (0, 1, 2):
             near |= padded[dr : dr + height, dc : dc + width]
-    return reached | (near & (cells == OCCUPIED))
+    near &= cells == OCCUPIED
+    return np.logical_or(reached, near)

@@ -60,9 +60,7 @@ def mark_rays(observed: Any, row: int, col: int, offsets: Any, hits: Any) -> Non
 
 
 @njit(cache=True)
-def shortest_paths(
-    grid: Any, row: int, col: int, straight: Any, diagonal: Any, queue: Any, moves: Any
-) -> int:
+def shortest_paths(grid: Any, row: int, col: int, straight: Any, diagonal: Any) -> None:
     """Dijkstra from (row, col) over the cells of `grid` (int8[H, W]) that are 0; 8-connected.
 
     A path cost is the pair (straight, diagonal) of integers, ordered by straight +
@@ -71,61 +69,78 @@ def shortest_paths(
     nor after a diagonal one, so that the least is at the head of one of them.
 
     straight, diagonal: int32[H, W], written; UNREACHED (-1) where there is no path.
-    queue: int32[2, 8 * H * W, 3], scratch. Returns the number of cells reached.
     """
     height, width = grid.shape
-    straight[:, :] = -1
-    diagonal[:, :] = -1
+    pitch = width + 2  # a border of blocked cells saves all checks against the edge
+    size = (height + 2) * pitch
+    # The least cost found so far; -1 where blocked, because no cost is less than that.
+    best = np.full(size, -1.0)
+    s_of = np.full(size, UNREACHED, np.int32)
+    d_of = np.full(size, UNREACHED, np.int32)
+    free = 0
+    for r in range(height):
+        base = (r + 1) * pitch + 1
+        for c in range(width):
+            if grid[r, c] == 0:
+                best[base + c] = np.inf
+                free += 1
+    # Each cell enters each queue at most once for each of four neighbours.
+    cells = np.empty((2, 4 * free + 1), np.int32)
+    costs = np.empty((2, 4 * free + 1), np.float64)
     head0 = tail0 = head1 = tail1 = 0
-    straight[row, col] = 0
-    diagonal[row, col] = 0
-    queue[0, 0, 0] = row * width + col
-    queue[0, 0, 1] = 0
-    queue[0, 0, 2] = 0
+    start = (row + 1) * pitch + col + 1
+    best[start] = 0.0
+    s_of[start] = 0
+    d_of[start] = 0
+    cells[0, 0] = start
+    costs[0, 0] = 0.0
     tail0 = 1
-    reached = 1
-    while True:
-        take0 = head0 < tail0
-        take1 = head1 < tail1
-        if not take0 and not take1:
-            return reached
-        if take0 and take1:
-            cost0 = queue[0, head0, 1] + queue[0, head0, 2] * SQRT2
-            cost1 = queue[1, head1, 1] + queue[1, head1, 2] * SQRT2
-            take0 = cost0 <= cost1
-        if take0:
-            cell, s, d = queue[0, head0, 0], queue[0, head0, 1], queue[0, head0, 2]
+    while head0 < tail0 or head1 < tail1:
+        if head1 == tail1 or (head0 < tail0 and costs[0, head0] <= costs[1, head1]):
+            cell, cost = cells[0, head0], costs[0, head0]
             head0 += 1
         else:
-            cell, s, d = queue[1, head1, 0], queue[1, head1, 1], queue[1, head1, 2]
+            cell, cost = cells[1, head1], costs[1, head1]
             head1 += 1
-        r = cell // width
-        c = cell - r * width
-        if straight[r, c] != s or diagonal[r, c] != d:
+        if cost != best[cell]:
             continue  # a shorter path was found after this was queued
-        for m in range(8):
-            nr = r + moves[m, 0]
-            nc = c + moves[m, 1]
-            if nr < 0 or nc < 0 or nr >= height or nc >= width or grid[nr, nc] != 0:
-                continue
-            ns = s + 1 if m < 4 else s
-            nd = d if m < 4 else d + 1
-            if straight[nr, nc] < 0:
-                reached += 1
-            elif ns + nd * SQRT2 >= straight[nr, nc] + diagonal[nr, nc] * SQRT2:
-                continue
-            straight[nr, nc] = ns
-            diagonal[nr, nc] = nd
-            if m < 4:
-                queue[0, tail0, 0] = nr * width + nc
-                queue[0, tail0, 1] = ns
-                queue[0, tail0, 2] = nd
+        s, d = s_of[cell], d_of[cell]
+        # From the integers and never from `cost`, so that equal pairs give equal costs.
+        after_straight = (s + 1) + d * SQRT2
+        after_diagonal = s + (d + 1) * SQRT2
+        for step in (1, pitch, -1, -pitch):
+            near = cell + step
+            if after_straight < best[near]:
+                best[near] = after_straight
+                s_of[near] = s + 1
+                d_of[near] = d
+                cells[0, tail0] = near
+                costs[0, tail0] = after_straight
                 tail0 += 1
-            else:
-                queue[1, tail1, 0] = nr * width + nc
-                queue[1, tail1, 1] = ns
-                queue[1, tail1, 2] = nd
+        for step in (pitch + 1, pitch - 1, -pitch - 1, -pitch + 1):
+            near = cell + step
+            if after_diagonal < best[near]:
+                best[near] = after_diagonal
+                s_of[near] = s
+                d_of[near] = d + 1
+                cells[1, tail1] = near
+                costs[1, tail1] = after_diagonal
                 tail1 += 1
+    for r in range(height):
+        base = (r + 1) * pitch + 1
+        for c in range(width):
+            straight[r, c] = s_of[base + c]
+            diagonal[r, c] = d_of[base + c]
+
+
+@njit(cache=True)
+def costs_at(straight: Any, diagonal: Any, cells: Any) -> Any:
+    """float64[n]: straight + diagonal * sqrt 2 at each of `cells` (int32[n, 2])."""
+    costs = np.empty(cells.shape[0], np.float64)
+    for i in range(cells.shape[0]):
+        r, c = cells[i, 0], cells[i, 1]
+        costs[i] = straight[r, c] + diagonal[r, c] * SQRT2
+    return costs
 
 
 @njit(cache=True)

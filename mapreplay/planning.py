@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from mapreplay import kernels
 from mapreplay.grid import UNKNOWN, Cell, Grid, Quantized
-from mapreplay.kernels import SQRT2
 from mapreplay.mapping import dequantize
 from mapreplay.randomness import Draws
 from mapreplay.sensor import Sensor
@@ -37,8 +36,8 @@ class Paths:
 
     def costs(self, cells: Cells) -> Float64s:
         """float64[n]: the length of the shortest path to each cell, in cells."""
-        rows, cols = cells[:, 0], cells[:, 1]
-        return self.straight[rows, cols] + self.diagonal[rows, cols] * SQRT2
+        costs: Float64s = kernels.costs_at(self.straight, self.diagonal, cells)
+        return costs
 
     def to(self, cell: Cell) -> Cells:
         """int32[n, 2]: the shortest path to a cell that can be reached, both ends included.
@@ -56,11 +55,7 @@ def shortest_paths(plan_map: Grid, agent: Cell) -> Paths:
     """All shortest paths from `agent` over the free cells of `plan_map` (int8[H, W])."""
     straight = np.empty(plan_map.shape, np.int32)
     diagonal = np.empty(plan_map.shape, np.int32)
-    # Each cell enters each queue at most once for each of four neighbours.
-    queue = np.empty((2, 4 * plan_map.size + 1, 3), np.int32)
-    kernels.shortest_paths(
-        plan_map, agent.row, agent.col, straight, diagonal, queue, kernels.MOVES
-    )
+    kernels.shortest_paths(plan_map, agent.row, agent.col, straight, diagonal)
     return Paths(straight, diagonal)
 
 

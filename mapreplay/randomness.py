@@ -30,12 +30,15 @@ class Draws:
     """A stream of random integers, fixed by `seed`, `purpose`, `index` and `run`."""
 
     def __init__(self, seed: int, purpose: Purpose, index: int = 0, run: int = 0) -> None:
-        self._key = np.array([seed, 0], np.uint64)
-        self._counter = np.array([0, run, index, purpose], np.uint64)
+        self._key = (seed, 0)
+        self._counter = (0, run, index, purpose)
 
     @cached_property
     def _philox(self) -> np.random.Philox:
-        return np.random.Philox(key=self._key, counter=self._counter)
+        # Made when first asked: most steps of most planners draw nothing.
+        return np.random.Philox(
+            key=np.array(self._key, np.uint64), counter=np.array(self._counter, np.uint64)
+        )
 
     def raw(self) -> int:
         """A uniform integer in [0, 2^64)."""

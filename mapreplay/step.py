@@ -140,6 +140,16 @@ class StepMetrics:
     brier_unobserved: float
     log_loss_unobserved: float
 
+    def coverage(self, kind: MapKind) -> float:
+        """Known share of the explorable cells of one map, 0 to 1."""
+        return self.coverage_observed if kind is MapKind.OBSERVED else self.coverage_fused
+
+    def correct_coverage(self, kind: MapKind) -> float:
+        """Known and right share of the explorable cells of one map, 0 to 1."""
+        if kind is MapKind.OBSERVED:
+            return self.correct_coverage_observed
+        return self.correct_coverage_fused
+
     @classmethod
     def names(cls) -> tuple[str, ...]:
         """The field names, in order: columns of every table of steps."""
@@ -233,3 +243,20 @@ class EpisodeHeader:
         """``<floor-plan>__<planner>__<plan-on>-<build>__s<seed>.mcap``."""
         c = self.config
         return f"{self.floor_plan.id}__{c.planner}__{c.plan_on}-{c.build}__s{c.seed}.mcap"
+
+
+def differences(a: Step, b: Step) -> list[str]:
+    """Names of the fields in which two steps differ, in order; NaN equals NaN."""
+    return [f.name for f in fields(Step) if not _same(getattr(a, f.name), getattr(b, f.name))]
+
+
+def _same(a: object, b: object) -> bool:
+    if type(a) is not type(b):
+        return False
+    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
+        return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
+    if isinstance(a, tuple) and isinstance(b, tuple):
+        return len(a) == len(b) and all(map(_same, a, b))
+    if isinstance(a, Decision | Candidate | StepMetrics | StepProfile):
+        return all(_same(getattr(a, f.name), getattr(b, f.name)) for f in fields(a))
+    return a == b or (a != a and b != b)

@@ -1,0 +1,79 @@
+"""The command line: a module a verb, each thin; nothing imports this.
+
+Verbs import what is slow (torch, rerun, polars, numba) only when they run, so that help and
+completion are quick.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Annotated
+
+import typer
+
+from mapreplay.cli.bench import bench_app
+from mapreplay.cli.export import export
+from mapreplay.cli.floorplans import floorplans
+from mapreplay.cli.info import info
+from mapreplay.cli.ls import ls
+from mapreplay.cli.metrics import metrics
+from mapreplay.cli.run import run
+from mapreplay.cli.train import train
+from mapreplay.cli.view import view
+from mapreplay.errors import MapreplayError
+
+INTERRUPTED = 130
+
+app = typer.Typer(
+    name="mapreplay",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+
+
+def _version(wanted: bool) -> None:  # noqa: FBT001 (typer's callback)
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"mapreplay {version('mapreplay')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _mapreplay(
+    _version: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+    ] = False,
+) -> None:
+    """Record, replay and analyse agents that map floor plans with a learned map predictor."""
+
+
+for _verb in (run, view, ls, info, metrics, export, floorplans, train):
+    app.command()(_verb)
+app.add_typer(bench_app, name="bench")
+
+
+def main() -> None:
+    """Entry point: every error is one line on stderr and an exit code."""
+    try:
+        code = app(standalone_mode=False)
+    except MapreplayError as error:
+        _fail(str(error), error.exit_code)
+    except typer.TyperException as error:  # wrong usage
+        _fail(f"{error.format_message()} See `mapreplay --help`.", error.exit_code)
+    except (typer.Abort, KeyboardInterrupt):
+        _fail("interrupted", INTERRUPTED)
+    except BrokenPipeError:
+        # Whoever read our output has seen enough; keep Python from complaining at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _fail(line: str, code: int) -> None:
+    print(f"mapreplay: {' '.join(line.split())}", file=sys.stderr)
+    sys.exit(code)

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Protocol
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Protocol, cast
 
-from mapreplay.floorplan import FloorPlan
+from mapreplay import plugins
+from mapreplay.errors import FloorPlanError, UsageError
+from mapreplay.floorplan import ID_PATTERN, FloorPlan
+from mapreplay.floorplans.files import exists, read_limited
+
+MAX_IDS: Final = 1_000_000
+_MAX_ID_LIST_BYTES: Final = 160 << 20
 
 
 class FloorPlanSource(Protocol):
@@ -23,3 +31,142 @@ class FloorPlanSource(Protocol):
     def load(self, floor_plan_id: str) -> FloorPlan:
         """One floor plan. Raises FloorPlanError if it is not there, or is refused."""
         ...
+
+
+ENDINGS: Final[Mapping[str, str]] = {
+    ".tar.gz": "houseexpo",
+    ".tgz": "houseexpo",
+    ".tar": "houseexpo",
+    ".json": "houseexpo",
+    ".yaml": "map_server",
+    ".yml": "map_server",
+    ".png": "image",
+    ".pgm": "image",
+}
+"""The source that reads a file, by the end of its name."""
+
+
+def _holds_maps(folder: Path) -> bool:
+    from mapreplay.floorplans.map_server import find_maps
+
+    return bool(find_maps(folder))
+
+
+def _holds_houses(folder: Path) -> bool:
+    return any(folder.glob("*.json"))
+
+
+def _holds_images(folder: Path) -> bool:
+    from mapreplay.floorplans.image import find_images
+
+    return bool(find_images(folder))
+
+
+FOLDERS: Final[Mapping[str, Callable[[Path], bool]]] = {
+    "map_server": _holds_maps,  # first, because maps have images beside them
+    "houseexpo": _holds_houses,
+    "image": _holds_images,
+}
+"""The source that reads a folder: the first one whose question is answered with yes."""
+
+
+def open_source(spec: str, resolution: float | None = None) -> FloorPlanSource:
+    """The source that `spec` means.
+
+    Args:
+        spec: ``name:rest`` or ``name`` of a registered source, like ``procedural:7``; else the
+            path of a file or folder. A file called like a source is reached by ``./name``.
+        resolution: metres a cell, or None for the source's own.
+
+    Raises:
+        FloorPlanError: there is no such file or folder.
+        UsageError: `spec` is neither a source nor something that one of ours can read, or the
+            resolution does not fit.
+        PluginError: a source of somebody else's is broken.
+    """
+    name, _, rest = spec.partition(":")
+    if name in plugins.available(plugins.Group.FLOORPLANS):
+        return _open(name, rest, resolution)
+    path = Path(spec)
+    by_ending = next((ENDINGS[end] for end in ENDINGS if spec.lower().endswith(end)), None)
+    if not exists(path):
+        if by_ending or len(path.parts) > 1:
+            raise FloorPlanError(f"{spec}: no such file or folder")
+        raise UsageError(f"{spec!r}: no such file or folder, and no source; {_understood()}")
+    found = by_ending
+    if path.is_dir():
+        found = next((source for source, holds in FOLDERS.items() if holds(path)), None)
+    if found is None:
+        raise UsageError(f"{spec}: not a floor plan, nor a folder of them; {_understood()}")
+    return _open(found, spec, resolution)
+
+
+def _open(name: str, rest: str, resolution: float | None) -> FloorPlanSource:
+    factory = plugins.load(plugins.Group.FLOORPLANS, name)
+    return cast("FloorPlanSource", factory(rest, resolution))
+
+
+def _understood() -> str:
+    names = ", ".join(plugins.available(plugins.Group.FLOORPLANS))
+    return (
+        f"understood are the sources {names} (as in procedural:60000-60099), "
+        f"files ending in {', '.join(ENDINGS)}, and folders of these"
+    )
+
+
+def read_ids(path: Path) -> list[str]:
+    """Read an id list: one a line; blank lines and what follows a ``#`` are skipped.
+
+    Raises:
+        FloorPlanError: the file cannot be read, is not such a list, or is empty.
+    """
+    try:
+        lines = read_limited(path, _MAX_ID_LIST_BYTES).decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError:
+        raise FloorPlanError(f"{path}: not a list of ids (not a text file)") from None
+    if len(lines) > MAX_IDS:
+        raise FloorPlanError(f"{path}: {len(lines)} lines; at most {MAX_IDS} are allowed")
+    ids = []
+    for number, line in enumerate(lines, start=1):
+        entry = line.partition("#")[0].strip()
+        if entry and not ID_PATTERN.fullmatch(entry):
+            raise FloorPlanError(
+                f"{path}, line {number}: {entry[:40]!r} is not an id (letters, digits, . _ + -)"
+            )
+        if entry:
+            ids.append(entry)
+    if not ids:
+        raise FloorPlanError(f"{path}: holds no id; expected one a line")
+    return ids
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Some of a source's floor plans."""
+
+    ids: tuple[str, ...]
+    """In the order in which they were asked for, without repetitions."""
+    missing: tuple[str, ...]
+    """What was asked for and the source does not have."""
+
+
+def select(
+    source: FloorPlanSource, wanted: Sequence[str] | None = None, limit: int | None = None
+) -> Selection:
+    """The first `limit` of the `wanted` floor plans, or of all; None is no limit.
+
+    Raises:
+        FloorPlanError: the source cannot be read.
+        UsageError: `limit` is negative.
+    """
+    if limit is not None and limit < 0:
+        raise UsageError(f"limit {limit} of floor plans is negative")
+    available = source.ids()
+    if wanted is None:
+        return Selection(tuple(available[:limit]), ())
+    known = frozenset(available)
+    asked = dict.fromkeys(wanted)
+    return Selection(
+        ids=tuple(entry for entry in asked if entry in known)[:limit],
+        missing=tuple(entry for entry in asked if entry not in known),
+    )

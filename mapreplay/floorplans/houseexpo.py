@@ -8,12 +8,14 @@ of it is free: coarser rasterizing erases most interior walls.
 from __future__ import annotations
 
 import json
+import lzma
 import math
 import re
+import reprlib
 import tarfile
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Final
 
@@ -21,12 +23,15 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from mapreplay.errors import FloorPlanError
+from mapreplay.errors import FloorPlanError, UsageError
 from mapreplay.floorplan import FloorPlan
+from mapreplay.floorplans.files import existing_path, read_limited
 from mapreplay.grid import FREE, OCCUPIED, Grid, Origin
 
 PIXELS_PER_METRE: Final = 80
 MAX_METRES: Final = 200.0
+MIN_RESOLUTION: Final = 0.01
+MAX_RESOLUTION: Final = 5.0
 MAX_VERTICES: Final = 1_000_000
 MAX_JSON_BYTES: Final = 16 << 20
 MAX_MEMBERS: Final = 1_000_000
@@ -64,14 +69,16 @@ def parse_house(text: bytes, name: str) -> House:
         raise FloorPlanError(f"{name}: key {missing[0]!r} is missing")
     house_id = data["id"]
     if not isinstance(house_id, str) or not _HOUSE_ID.fullmatch(house_id):
-        raise FloorPlanError(f"{name}: id {str(house_id)[:40]!r} is not letters, digits and . _ -")
+        raise FloorPlanError(
+            f"{name}: id {reprlib.repr(house_id)} is not letters, digits and . _ -"
+        )
     verts = data["verts"]
     if not isinstance(verts, list) or not 3 <= len(verts) <= MAX_VERTICES:
         raise FloorPlanError(f"{name}: 'verts' must be a list of 3 to {MAX_VERTICES} points")
     for vert in verts:
         if not (isinstance(vert, list) and len(vert) == 2 and all(map(_is_metre, vert))):
             raise FloorPlanError(
-                f"{name}: vertex {str(vert)[:60]} is not two finite numbers of metres"
+                f"{name}: vertex {reprlib.repr(vert)} is not two finite numbers of metres"
             )
     vertices = np.array(verts, np.float64)
     extent = float(np.ptp(vertices, axis=0).max())
@@ -84,8 +91,7 @@ def _is_metre(value: object) -> bool:
     return (
         isinstance(value, (int, float))
         and not isinstance(value, bool)
-        and math.isfinite(value)
-        and abs(value) < 1e6
+        and abs(value) < 1e6  # False for NaN
     )
 
 
@@ -126,6 +132,16 @@ class HouseExpoSource:
     default_predictor = "d2"
 
     def __init__(self, path: Path, resolution: float = 0.2) -> None:
+        """`resolution` is in metres a cell.
+
+        Raises:
+            UsageError: `resolution` is out of range.
+        """
+        if not MIN_RESOLUTION <= resolution <= MAX_RESOLUTION:
+            raise UsageError(
+                f"houseexpo: resolution {resolution} must be {MIN_RESOLUTION:g} to "
+                f"{MAX_RESOLUTION:g} metres a cell"
+            )
         self._path = path
         self._resolution = resolution
         self._ids: list[str] | None = None
@@ -157,11 +173,15 @@ class HouseExpoSource:
         if text is None:
             text = self._read_from(floor_plan_id)
         name = f"{self._path}: house {floor_plan_id}"
-        return rasterize(parse_house(text, name), self._resolution)
+        # The file's name counts: an id list means that, whatever a copied file says inside.
+        house = replace(parse_house(text, name), id=floor_plan_id)
+        return rasterize(house, self._resolution)
 
     def _read_from(self, floor_plan_id: str) -> bytes:
+        if not _HOUSE_ID.fullmatch(floor_plan_id):
+            raise FloorPlanError(f"{self._path}: holds no house {floor_plan_id[:40]!r}")
         if self._path.is_dir():
-            return _read_json(self._path / f"{floor_plan_id}.json")
+            return read_limited(self._path / f"{floor_plan_id}.json", MAX_JSON_BYTES)
         found: bytes | None = None
         size = 0
         self._texts = {}
@@ -180,44 +200,65 @@ class HouseExpoSource:
     def _members(self, *, with_text: bool) -> Iterator[tuple[str, bytes]]:
         if self._path.is_dir():
             for path in sorted(self._path.glob("*.json")):
-                yield path.stem, _read_json(path) if with_text else b""
+                yield path.stem, read_limited(path, MAX_JSON_BYTES) if with_text else b""
         elif self._path.suffix == ".json":
-            yield self._path.stem, _read_json(self._path) if with_text else b""
+            yield self._path.stem, read_limited(self._path, MAX_JSON_BYTES) if with_text else b""
         else:
             yield from _archive_members(self._path, with_text=with_text)
 
 
-def _read_json(path: Path) -> bytes:
-    try:
-        if path.stat().st_size > MAX_JSON_BYTES:
-            raise FloorPlanError(f"{path}: larger than {MAX_JSON_BYTES >> 20} MiB")
-        return path.read_bytes()
-    except OSError as error:
-        raise FloorPlanError(f"{path}: cannot be read ({error.strerror})") from None
+class _CheckedHeader(tarfile.TarInfo):
+    """A header that is refused while it is read.
+
+    `tarfile` takes the long names and extended headers of an archive into memory on its own,
+    however large they say they are.
+    """
+
+    @classmethod
+    def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> _CheckedHeader:
+        """As in `tarfile.TarInfo`.
+
+        Raises:
+            FloorPlanError: the file that follows is too large.
+        """
+        header = super().frombuf(buf, encoding, errors)
+        if header.size > MAX_JSON_BYTES:
+            raise FloorPlanError(f"{header.name[:80]!r} is larger than {MAX_JSON_BYTES >> 20} MiB")
+        return header
 
 
 def _archive_members(path: Path, *, with_text: bool) -> Iterator[tuple[str, bytes]]:
-    """The JSON files of a tar archive, streamed: nothing is ever written to disk."""
+    """The JSON files of a tar archive, streamed: nothing is ever written to disk.
+
+    Of two with one name the first counts.
+    """
+    seen: set[str] = set()
     try:
-        with tarfile.open(path, "r|*") as archive:
+        with tarfile.open(path, "r|*", tarinfo=_CheckedHeader) as archive:
             for count, member in enumerate(archive):
                 inner = PurePosixPath(member.name)
                 if inner.is_absolute() or ".." in inner.parts:
-                    raise FloorPlanError(f"{path}: refused, it holds the name {member.name!r}")
-                if count > MAX_MEMBERS or member.size > MAX_JSON_BYTES:
-                    raise FloorPlanError(
-                        f"{path}: refused, {member.name!r} is larger than "
-                        f"{MAX_JSON_BYTES >> 20} MiB or there are over {MAX_MEMBERS} files"
-                    )
-                if not member.isfile() or inner.suffix != ".json":
+                    raise FloorPlanError(f"it holds the name {member.name[:80]!r}")
+                if count >= MAX_MEMBERS:
+                    raise FloorPlanError(f"it holds over {MAX_MEMBERS} files")
+                if not member.isfile() or inner.suffix != ".json" or inner.stem in seen:
                     continue
+                seen.add(inner.stem)
                 stream = archive.extractfile(member) if with_text else None
                 yield inner.stem, stream.read() if stream else b""
-    except (tarfile.TarError, EOFError, zlib.error, OSError) as error:
+    except FloorPlanError as error:
+        raise FloorPlanError(f"{path}: refused, {error}") from None
+    except (tarfile.TarError, EOFError, zlib.error, lzma.LZMAError, OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise FloorPlanError(f"{path}: not a readable tar archive ({reason})") from None
 
 
 def open_source(rest: str, resolution: float | None) -> HouseExpoSource:
-    """The source ``houseexpo``; see `mapreplay.plugins.Group.FLOORPLANS`."""
-    return HouseExpoSource(Path(rest), resolution or 0.2)
+    """The source ``houseexpo``; see `mapreplay.plugins.Group.FLOORPLANS`.
+
+    Raises:
+        UsageError: no path, or a resolution that is out of range.
+        FloorPlanError: there is no such file or folder.
+    """
+    path = existing_path("houseexpo", rest)
+    return HouseExpoSource(path, 0.2 if resolution is None else resolution)

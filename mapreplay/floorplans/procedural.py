@@ -10,17 +10,23 @@ and low variance in size, share of walls and topology; the rest is ours.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from mapreplay.errors import UsageError
+from mapreplay.errors import FloorPlanError, UsageError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.grid import FREE, OCCUPIED, Grid
 from mapreplay.randomness import Draws, Purpose
 
 MAX_SEED = 2**32 - 1
+MAX_PLANS = 1_000_000
+"""Floor plans in one source."""
+
+_SEEDS = re.compile(r"([0-9]{1,10})(?:-([0-9]{1,10}))?")
+_ID = re.compile(r"procedural-(0|[1-9][0-9]{0,9})")
 
 
 @dataclass(frozen=True)
@@ -56,7 +62,12 @@ def generate(seed: int, style: Style = D1) -> FloorPlan:
     """The procedural floor plan number `seed` (0 to 2^32 - 1), the same on every machine.
 
     Returns a plan of `style.height` x `style.width` cells called ``procedural-<seed>``.
+
+    Raises:
+        UsageError: `seed` is out of range.
     """
+    if not 0 <= seed <= MAX_SEED:
+        raise UsageError(f"procedural: seed {seed} is not in 0 to {MAX_SEED}")
     draws = Draws(seed, Purpose.FLOOR_PLAN)
     cells = np.full((style.height, style.width), OCCUPIED, np.int8)
     cells[1:-1, 1:-1] = FREE
@@ -111,16 +122,18 @@ class ProceduralSource:
         """Parse `spec`, a seed or an inclusive range of seeds; empty means 60000-60099.
 
         Raises:
-            UsageError: `spec` is neither.
+            UsageError: `spec` is neither, or means too many.
         """
-        first, dash, last = (spec or "60000-60099").partition("-")
-        if not first.isdecimal() or (dash and not last.isdecimal()):
+        match = _SEEDS.fullmatch(spec or "60000-60099")
+        if match is None:
             raise UsageError(
-                f"procedural:{spec}: expected a seed or a range of seeds, like 60000-60099"
+                f"procedural:{spec[:40]}: expected a seed or a range of seeds, like 60000-60099"
             )
-        low, high = int(first), int(last or first)
+        low, high = int(match[1]), int(match[2] or match[1])
         if not low <= high <= MAX_SEED:
             raise UsageError(f"procedural:{spec}: seeds go from 0 to {MAX_SEED}, upwards")
+        if high - low >= MAX_PLANS:
+            raise UsageError(f"procedural:{spec}: at most {MAX_PLANS} seeds at a time")
         self._seeds = range(low, high + 1)
         self._style = style
 
@@ -129,8 +142,18 @@ class ProceduralSource:
         return [f"procedural-{seed}" for seed in self._seeds]
 
     def load(self, floor_plan_id: str) -> FloorPlan:
-        """Generate one."""
-        return generate(int(floor_plan_id.removeprefix("procedural-")), self._style)
+        """Generate one.
+
+        Raises:
+            FloorPlanError: there is no such seed in this source.
+        """
+        match = _ID.fullmatch(floor_plan_id)
+        if match is None or int(match[1]) not in self._seeds:
+            raise FloorPlanError(
+                f"procedural plan {floor_plan_id[:40]!r} is not of the seeds "
+                f"{self._seeds[0]}-{self._seeds[-1]}"
+            )
+        return generate(int(match[1]), self._style)
 
 
 def open_source(rest: str, resolution: float | None) -> ProceduralSource:

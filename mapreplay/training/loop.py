@@ -16,7 +16,7 @@ from torch.nn import functional
 
 from mapreplay.errors import WeightsError
 from mapreplay.predictors.network import MapPredictor, one_hot
-from mapreplay.predictors.weights import load_tensors, save_tensors
+from mapreplay.predictors.weights import ModelCard, file_sha256, load_tensors, save_tensors
 from mapreplay import scores
 from mapreplay.training.dataset import Batch, Epoch, TrainingPlan, make_batch, padded_shape
 
@@ -222,6 +222,37 @@ class Trainer:
                 slots.setdefault(int(number), {})[name] = value
         groups = self.optimizer.state_dict()["param_groups"]
         self.optimizer.load_state_dict({"state": slots, "param_groups": groups})
+
+
+def finish(
+    trainer: Trainer, out: Path, *, trained_on: str, validated_on: str, command: str
+) -> ModelCard:
+    """Write the trained weights to `out` and their card beside it; the checkpoint is removed.
+
+    The texts say in the card what the plans were, and how to make the weights again.
+    """
+    save_tensors(out, trainer.model.state_dict(), {})
+    last = trainer.curve[-1]
+    card = ModelCard(
+        name=out.stem,
+        architecture="convolutional autoencoder of Zwecher et al. 2022, 9 + 9 layers of 25 kernels",
+        trained_on=trained_on,
+        validated_on=validated_on,
+        plans=len(trainer.plans),
+        samples=last.samples,
+        seed=trainer.config.seed,
+        seconds=last.seconds,
+        device=str(trainer.device),
+        train_loss=last.train_loss,
+        validation_loss=last.validation_loss,
+        validation_f1=last.validation_f1,
+        sha256=file_sha256(out),
+        command=command,
+        curve=[asdict(point) for point in trainer.curve],
+    )
+    card.write(out.with_suffix(".json"))
+    trainer.checkpoint.unlink(missing_ok=True)
+    return card
 
 
 def _validation_batches(plans: Sequence[TrainingPlan], config: TrainingConfig) -> list[Batch]:

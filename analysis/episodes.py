@@ -1,0 +1,162 @@
+"""An episode in one row: what was run, how it ended, and its last scores."""
+
+from __future__ import annotations
+
+import operator
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, Final
+
+import polars as pl
+
+from mapreplay.config import MapKind
+from mapreplay.errors import UsageError
+from mapreplay.recorders.log import EpisodeLog
+
+UNFINISHED: Final = "unfinished"
+
+
+@dataclass(frozen=True)
+class EpisodeRow:
+    """One row of `mapreplay ls`. Scores are those of the last step; NaN where undefined."""
+
+    file: str
+    floor_plan: str
+    planner: str
+    predictor: str
+    plan_on: str
+    build: str
+    fail_safe: bool
+    seed: int
+    start_row: int
+    start_col: int
+    max_steps: int
+    outcome: str
+    """mapped, sealed_in, out_of_steps or unfinished."""
+    steps: int
+    """Moves made."""
+    mapping_time: int | None
+    """First step at which the built map reached the target coverage."""
+    correct_time: int | None
+    """First step at which its correct coverage reached `correct_coverage`."""
+    path_length: float
+    """Metres."""
+    coverage: float
+    """Of the built map, like the next two."""
+    correct: float
+    f1: float
+    fail_safe_steps: int
+    """Steps planned in fail-safe mode."""
+
+
+TABLE_COLUMNS: Final = (
+    "floor_plan", "planner", "plan_on", "build", "outcome", "steps", "path_length", "coverage",
+    "correct", "f1",
+)  # fmt: skip
+"""What a person wants to see of a row."""
+
+
+def episode_row(path: Path) -> EpisodeRow:
+    """Summarize the log at `path`, finished or not, from its scalars.
+
+    Raises:
+        LogError: it cannot be read.
+    """
+    return summarize(EpisodeLog(path), str(path))
+
+
+def summarize(log: EpisodeLog, file: str) -> EpisodeRow:
+    """Summarize an open log; `file` is what the row calls it."""
+    config, table = log.header.config, log.table()
+    last = table.row(-1, named=True)
+    suffix = "observed" if config.build is MapKind.OBSERVED else "fused"
+    mapped = table.filter(pl.col(f"coverage_{suffix}") >= config.coverage)["step"]
+    correct = table.filter(pl.col(f"correct_coverage_{suffix}") >= config.correct_coverage)["step"]
+    outcome = log.outcome
+    return EpisodeRow(
+        file=file,
+        floor_plan=log.header.floor_plan.id,
+        planner=config.planner,
+        predictor=log.header.predictor.name,
+        plan_on=config.plan_on,
+        build=config.build,
+        fail_safe=config.fail_safe,
+        seed=config.seed,
+        start_row=log.header.start.row,
+        start_col=log.header.start.col,
+        max_steps=log.header.max_steps,
+        outcome=outcome.value if outcome else UNFINISHED,
+        steps=int(last["step"]),
+        mapping_time=int(mapped[0]) if len(mapped) else None,
+        correct_time=int(correct[0]) if len(correct) else None,
+        path_length=last["path_length"],
+        coverage=last[f"coverage_{suffix}"],
+        correct=last[f"correct_coverage_{suffix}"],
+        f1=float("nan") if last["f1"] is None else last["f1"],
+        fail_safe_steps=table.filter(pl.col("mode") == "fail-safe").height,
+    )
+
+
+_DTYPES: Final = {
+    "str": pl.String, "bool": pl.Boolean, "int": pl.Int64, "int | None": pl.Int64,
+    "float": pl.Float64,
+}  # fmt: skip
+
+
+def episode_frame(rows: Sequence[EpisodeRow]) -> pl.DataFrame:
+    """The rows as a data frame with the same columns even when it is empty."""
+    schema = {f.name: _DTYPES[str(f.type)] for f in fields(EpisodeRow)}
+    return pl.DataFrame([asdict(row) for row in rows], schema=schema)
+
+
+_OPERATORS: Final[dict[str, Callable[[Any, Any], bool]]] = {
+    "=": operator.eq, "!=": operator.ne, "<": operator.lt, "<=": operator.le,
+    ">": operator.gt, ">=": operator.ge,
+}  # fmt: skip
+_CONDITION: Final = re.compile(r"\s*(\w+)\s*(!=|<=|>=|=|<|>)\s*(.*?)\s*")
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A condition on a row, such as ``outcome=sealed_in`` or ``steps>300``."""
+
+    column: str
+    sign: str
+    value: str
+
+    @classmethod
+    def parse(cls, text: str) -> Condition:
+        """Read ``column OP value`` with OP one of = != < <= > >=.
+
+        Raises:
+            UsageError: it is not of this form, or there is no such column.
+        """
+        match = _CONDITION.fullmatch(text)
+        if not match:
+            raise UsageError(f"--where {text}: expected column=value, like outcome=sealed_in")
+        names = [f.name for f in fields(EpisodeRow)]
+        if match[1] not in names:
+            raise UsageError(f"--where {text}: no column {match[1]!r}; there are {', '.join(names)}")
+        return cls(match[1], match[2], match[3])
+
+    def holds(self, row: EpisodeRow) -> bool:
+        """Whether `row` satisfies it; a value that is not there satisfies only ``!=``.
+
+        Raises:
+            UsageError: a number was compared with something that is none.
+        """
+        actual = getattr(row, self.column)
+        if actual is None or actual != actual:  # None or NaN
+            return self.sign == "!="
+        if isinstance(actual, bool):
+            wanted: object = self.value.lower() in ("true", "yes", "1")
+        elif isinstance(actual, (int, float)):
+            try:
+                wanted = float(self.value)
+            except ValueError:
+                raise UsageError(f"--where {self.column}: {self.value!r} is no number") from None
+        else:
+            wanted = self.value
+        return _OPERATORS[self.sign](actual, wanted)

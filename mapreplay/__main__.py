@@ -1,0 +1,5 @@
+"""``python -m mapreplay``."""
+
+from mapreplay.cli import main
+
+main()

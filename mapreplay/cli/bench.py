@@ -1,0 +1,99 @@
+"""`mapreplay bench`: how fast the simulator is, and what a predictor is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mapreplay.cli.output import Format, FormatOption, emit, note
+from mapreplay.errors import FloorPlanError
+
+if TYPE_CHECKING:
+    from mapreplay.floorplan import FloorPlan
+
+bench_app = typer.Typer(
+    no_args_is_help=True, rich_markup_mode=None, help="Measure speed, and what a predictor is worth."
+)
+
+SpecOption = Annotated[
+    str, typer.Option("--floorplans", help="Source, see `mapreplay floorplans --help`.")
+]
+IdsOption = Annotated[Path | None, typer.Option(help="File with one id a line.")]
+
+
+@bench_app.command()
+def sim(
+    floorplans: SpecOption = "procedural:60000-60099",
+    ids: IdsOption = None,
+    limit: Annotated[int, typer.Option(min=1, help="At most so many floor plans.")] = 100,
+    form: FormatOption = Format.TABLE,
+) -> None:
+    """Steps a second of observed/observed Nearest Frontier on one core, recording off."""
+    import polars as pl
+
+    from mapreplay.analysis.benchmark import median_rate, time_simulation
+
+    timings = list(time_simulation(_plans(floorplans, ids, limit)))
+    rows = [asdict(t) | {"steps_per_second": t.steps_per_second} for t in timings]
+    if form is not Format.TABLE:
+        emit(pl.DataFrame(rows), "mapreplay.bench.sim/1", form)
+    else:
+        typer.echo(
+            f"{median_rate(timings):.0f} steps/s, median of {len(timings)} episodes "
+            f"({sum(t.steps for t in timings)} steps in {sum(t.seconds for t in timings):.1f} s)"
+        )
+
+
+@bench_app.command()
+def worth(
+    predictor: Annotated[str, typer.Option(help="Name, or a .safetensors file.")],
+    floorplans: SpecOption = "procedural:50000-50049",
+    ids: IdsOption = None,
+    limit: Annotated[int, typer.Option(min=1, help="At most so many floor plans.")] = 50,
+    planner: Annotated[str, typer.Option(help="Planner on fused/fused.")] = "nearest",
+    device: Annotated[str, typer.Option(help="cpu, cuda, ...")] = "cpu",
+    form: FormatOption = Format.TABLE,
+) -> None:
+    """Reduction of mapping time: fused/fused with fail-safe against observed/observed Nearest."""
+    import polars as pl
+
+    from mapreplay.analysis.benchmark import mean_worth, measure_worth
+    from mapreplay.cli.progress import progress_bar
+    from mapreplay.predictors import load_predictor
+
+    loaded = load_predictor(predictor, device)
+    plans = list(_plans(floorplans, ids, limit))
+    with progress_bar() as bar:
+        rows = list(
+            bar.track(
+                measure_worth(plans, planner, loaded), len(plans), description=f"{predictor} episodes"
+            )
+        )
+    frame = pl.DataFrame([asdict(row) | {"reduction": row.reduction} for row in rows])
+    emit(frame, "mapreplay.bench.worth/1", form)
+    mean = mean_worth(rows)
+    note(
+        f"reduction {mean.mean:.1%}, 95 % interval {mean.low:.1%} to {mean.high:.1%}, "
+        f"{mean.plans} floor plans"
+    )
+
+
+def _plans(spec: str, ids: Path | None, limit: int) -> Iterator[FloorPlan]:
+    from mapreplay.floorplans import open_source, read_ids, select
+
+    source = open_source(spec)
+    wanted = read_ids(ids) if ids else None
+    left = limit
+    for floor_plan_id in select(source, wanted, None).ids:
+        if left == 0:
+            return
+        try:
+            yield source.load(floor_plan_id)
+        except FloorPlanError as error:
+            note(f"refused: {error}")
+            continue
+        left -= 1

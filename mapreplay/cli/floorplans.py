@@ -1,0 +1,70 @@
+"""`mapreplay floorplans`: list, describe and preview any source."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mapreplay.cli.output import ForceOption, Format, FormatOption, OutputOption, emit, note
+from mapreplay.errors import FloorPlanError
+
+LOST = 3
+
+
+def floorplans(
+    spec: Annotated[
+        str,
+        typer.Argument(
+            help="procedural:FIRST-LAST, a HouseExpo archive, folder or JSON file, a map_server "
+            "YAML, an image, or a registered SOURCE:REST."
+        ),
+    ] = "procedural",
+    ids: Annotated[Path | None, typer.Option(help="File with one id a line.")] = None,
+    limit: Annotated[int, typer.Option(min=1, help="At most so many plans.")] = 20,
+    resolution: Annotated[
+        float | None, typer.Option(min=0.001, help="Metres a cell, where it can be chosen.")
+    ] = None,
+    preview: Annotated[
+        Path | None, typer.Option(help="Draw the plans into this PNG, a contact sheet.")
+    ] = None,
+    form: FormatOption = Format.TABLE,
+    output: OutputOption = None,
+    force: ForceOption = False,
+) -> None:
+    """List, describe and preview floor plans."""
+    import polars as pl
+
+    from mapreplay.cli.output import write_file
+    from mapreplay.floorplans import open_source, read_ids, select
+    from mapreplay.floorplans.describe import describe
+
+    source = open_source(spec, resolution)
+    wanted = read_ids(ids) if ids else None
+    selection = select(source, wanted, limit)
+    plans, refused = [], []
+    for floor_plan_id in selection.ids:
+        try:
+            plans.append(source.load(floor_plan_id))
+        except FloorPlanError as error:
+            refused.append(str(error))
+    rows = [asdict(describe(plan)) for plan in plans]
+    frame = pl.DataFrame([row | {"start": "{} {}".format(*row["start"])} for row in rows])
+    if plans:
+        emit(frame, "mapreplay.floorplans/1", form, output, force=force)
+    if preview and plans:
+        from mapreplay.floorplans.preview import contact_sheet, encode_png
+
+        write_file(preview, encode_png(contact_sheet(plans)), force=force)
+        note(f"drawn: {preview}")
+    total = len(wanted) - len(selection.missing) if wanted is not None else len(source.ids())
+    if total > len(selection.ids):
+        note(f"{len(selection.ids)} of {total} plans; see more with --limit")
+    for line in refused:
+        note(f"refused: {line}")
+    if selection.missing:
+        note(f"{len(selection.missing)} ids are not in {spec}, such as {selection.missing[0]}")
+    if refused or selection.missing:
+        raise typer.Exit(LOST)

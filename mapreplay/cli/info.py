@@ -1,0 +1,68 @@
+"""`mapreplay info`: everything that one log says of itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mapreplay.cli.output import ForceOption, Format, FormatOption, OutputOption, emit, note
+
+LOST = 3
+
+
+def info(
+    log: Annotated[Path, typer.Argument(help="The log.", show_default=False)],
+    form: FormatOption = Format.TABLE,
+    output: OutputOption = None,
+    force: ForceOption = False,
+) -> None:
+    """Show what one log says of itself: configuration, floor plan, end, events."""
+    import polars as pl
+
+    from mapreplay.analysis.episodes import summarize
+    from mapreplay.recorders.log import EpisodeLog
+
+    opened = EpisodeLog(log)
+    header, plan = opened.header, opened.header.floor_plan
+    facts: list[tuple[str, str, object]] = [
+        ("file", "finished", opened.finished),
+        ("file", "bytes", log.stat().st_size),
+        ("floor plan", "id", plan.id),
+        ("floor plan", "cells", f"{plan.shape[0]} x {plan.shape[1]}"),
+        ("floor plan", "resolution", f"{plan.resolution} m a cell"),
+        ("floor plan", "explorable cells", int(opened.explorable.sum())),
+        ("floor plan", "sha256", plan.sha256),
+        ("predictor", "name", header.predictor.name),
+        ("predictor", "sha256", header.predictor.sha256 or "-"),
+    ]
+    facts += [("config", key, value) for key, value in header.config.model_dump(mode="json").items()
+              if key != "predictor"]  # fmt: skip
+    facts += [("version", name, version) for name, version in header.versions]
+    row = summarize(opened, str(log))
+    facts += [
+        (
+            "end",
+            name.replace("_", " "),
+            round(value, 4) if isinstance(value := getattr(row, name), float) else value,
+        )
+        for name in ("outcome", "steps", "mapping_time", "correct_time", "path_length", "coverage",
+                     "correct", "f1", "fail_safe_steps")
+    ]  # fmt: skip
+    facts += [
+        ("event", f"step {step.index}", f"{event.kind}: {event.text}")
+        for step in opened.steps()
+        for event in step.events
+    ]
+    frame = pl.DataFrame(
+        {
+            "of": [of for of, _, _ in facts],
+            "what": [what for _, what, _ in facts],
+            "value": ["-" if value is None else str(value) for _, _, value in facts],
+        }
+    )
+    emit(frame, "mapreplay.info/1", form, output, force=force)
+    if not opened.finished:
+        note(f"{log}: unfinished; {len(opened)} steps can be read")
+        raise typer.Exit(LOST)

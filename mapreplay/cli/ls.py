@@ -1,0 +1,25 @@
+"""`mapreplay ls`: episodes, one a row."""
+
+from __future__ import annotations
+
+import typer
+
+from mapreplay.cli.logs import LOST, PathsArgument, WhereOption, choose
+from mapreplay.cli.output import ForceOption, Format, FormatOption, OutputOption, emit
+
+
+def ls(
+    paths: PathsArgument,
+    where: WhereOption = None,
+    form: FormatOption = Format.TABLE,
+    output: OutputOption = None,
+    force: ForceOption = False,
+) -> None:
+    """List episodes: what was run, how it ended, and the last scores."""
+    rows, unreadable = choose(paths, where)
+    from mapreplay.analysis.episodes import TABLE_COLUMNS, episode_frame
+
+    frame = episode_frame(rows)
+    emit(frame, "mapreplay.episodes/1", form, output, columns=TABLE_COLUMNS, force=force)
+    if unreadable:
+        raise typer.Exit(LOST)

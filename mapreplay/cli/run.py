@@ -1,0 +1,237 @@
+"""`mapreplay run`: simulate episodes and record them."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mapreplay.cli.output import ForceOption, Format, FormatOption, emit, note
+from mapreplay.errors import FloorPlanError, MapreplayError, UsageError
+
+if TYPE_CHECKING:
+    from mapreplay.config import RunConfig
+    from mapreplay.recorders.batch import Task
+
+LOST = 3
+
+Names = Annotated[str | None, typer.Option(help="A registered name.")]
+MapOption = Annotated[str | None, typer.Option(help="observed or fused (default).")]
+Share = Annotated[float | None, typer.Option(help="0 to 1.")]
+
+
+def run(
+    floorplans: Annotated[
+        str | None,
+        typer.Option(
+            help="procedural:FIRST-LAST, HouseExpo archive, folder or file, map_server YAML, image."
+        ),
+    ] = None,
+    ids: Annotated[Path | None, typer.Option(help="File with one floor-plan id a line.")] = None,
+    planner: Annotated[
+        str | None, typer.Option(help="random, nearest, cost-utility (default), or a plug-in's.")
+    ] = None,
+    predictor: Annotated[
+        str | None,
+        typer.Option(help="none, d1, d2, a plug-in's, or a .safetensors file; by default what "
+                     "suits the floor plans."),
+    ] = None,  # fmt: skip
+    plan_on: Annotated[
+        str | None, typer.Option(help="Map to plan on: observed or fused (default).")
+    ] = None,
+    build: Annotated[
+        str | None, typer.Option(help="Map to build: observed or fused (default).")
+    ] = None,
+    delta_free: Annotated[
+        float | None, typer.Option(help="Confidence for free cells, 0 to 1 (default 0.93).")
+    ] = None,
+    delta_occupied: Annotated[
+        float | None, typer.Option(help="Confidence for occupied cells, 0 to 1 (default 0.95).")
+    ] = None,
+    coverage: Annotated[
+        float | None, typer.Option(help="Target coverage of the built map (default 0.98).")
+    ] = None,
+    fail_safe: Annotated[
+        bool | None,
+        typer.Option("--fail-safe/--no-fail-safe", help="Plan on observations while sealed in."),
+    ] = None,
+    start: Annotated[
+        str | None, typer.Option(help="ROW,COL (default: the top-left free cell).")
+    ] = None,
+    max_steps: Annotated[
+        int | None, typer.Option(help="Budget (default 4 x the explorable free cells).")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Of the random choices (default 1).")] = None,
+    episodes: Annotated[
+        int | None, typer.Option(help="How many (default: one for each floor plan).")
+    ] = None,
+    resolution: Annotated[
+        float | None, typer.Option(help="Metres a cell, where it can be chosen.")
+    ] = None,
+    prediction_dtype: Annotated[
+        str | None, typer.Option(help="uint8 (default), uint16 or float32.")
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(help="Processes (default 1).")] = None,
+    device: Annotated[
+        str | None, typer.Option(help="Of the predictor: cpu (default), cuda, ...")
+    ] = None,
+    profile: Annotated[
+        bool | None, typer.Option("--profile/--no-profile", help="Record the time of each stage.")
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="TOML file with these options as keys.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the logs (default runs/<date-time>).")
+    ] = None,
+    view: Annotated[bool, typer.Option("--view", help="Watch the episode live in Rerun.")] = False,
+    form: FormatOption = Format.TABLE,
+    force: ForceOption = False,
+) -> None:
+    """Simulate episodes and record every step to MCAP."""
+    given = {
+        "floorplans": floorplans, "ids": ids, "planner": planner, "predictor": predictor,
+        "plan_on": plan_on, "build": build, "delta_free": delta_free,
+        "delta_occupied": delta_occupied, "coverage": coverage, "fail_safe": fail_safe,
+        "start": _parse_start(start), "max_steps": max_steps, "seed": seed,
+        "episodes": episodes, "resolution": resolution, "prediction_dtype": prediction_dtype,
+        "jobs": jobs, "device": device, "profile": profile, "out": out,
+    }  # fmt: skip
+    settings = _settings(config, {key: value for key, value in given.items() if value is not None})
+    folder = settings.out or Path("runs") / datetime.now().strftime("%Y%m%d-%H%M%S")
+    tasks, lost = _plan_tasks(settings, folder, force=force)
+    if not tasks:
+        raise FloorPlanError(f"{settings.floorplans}: no floor plan is left to run on")
+    folder = _make_folder(folder)
+    done = _watch(tasks) if view else _record(tasks, settings.jobs)
+    if done:
+        _print_results(sorted(done), form)
+        note(f"logs: {folder}")
+        note(f"next: mapreplay view {sorted(done)[0]}")
+    failed = len(tasks) - len(done)
+    if failed:
+        raise typer.Exit(1)
+    if lost:
+        raise typer.Exit(LOST)
+
+
+def _parse_start(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    row, comma, col = text.partition(",")
+    if not (comma and row.strip().isdecimal() and col.strip().isdecimal()):
+        raise UsageError(f"--start {text}: expected ROW,COL, two cell numbers, like 12,40")
+    return int(row), int(col)
+
+
+def _settings(path: Path | None, given: dict[str, Any]) -> RunConfig:
+    from mapreplay.config import RunConfig, read_toml
+
+    if path is None:
+        return RunConfig.of(given, "run")
+    from_file = read_toml(path)
+    RunConfig.of(from_file, str(path))  # so that its errors name the file
+    return RunConfig.of(from_file | given, "run")
+
+
+def _plan_tasks(settings: RunConfig, folder: Path, *, force: bool) -> tuple[list[Task], int]:
+    """The episodes to run, and how many floor plans cannot be had."""
+    from mapreplay.floorplans import open_source, read_ids, select
+    from mapreplay.recorders.batch import Task
+
+    source = open_source(settings.floorplans, settings.resolution)
+    wanted = read_ids(settings.ids) if settings.ids else None
+    selection = select(source, wanted, settings.episodes)
+    if selection.missing:
+        note(
+            f"{len(selection.missing)} ids are not in {settings.floorplans}, "
+            f"such as {selection.missing[0]}"
+        )
+    tasks, refused = [], 0
+    rounds = -(-(settings.episodes or len(selection.ids)) // max(len(selection.ids), 1))
+    for floor_plan_id in selection.ids:
+        try:
+            floor_plan = source.load(floor_plan_id)
+            floor_plan.check_start(settings.start_cell)
+        except FloorPlanError as error:
+            note(f"refused: {error}")
+            refused += 1
+            continue
+        for again in range(rounds):
+            episode = settings.episode(source.default_predictor, settings.seed + again)
+            tasks.append(Task(episode, floor_plan, folder, settings.device, settings.profile, force))
+    tasks.sort(key=lambda task: task.config.seed)
+    return tasks[: settings.episodes], refused + len(selection.missing)
+
+
+def _make_folder(folder: Path) -> Path:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise MapreplayError(f"{folder}: cannot be made ({error.strerror})") from None
+    return folder
+
+
+def _record(tasks: list[Task], jobs: int) -> list[Path]:
+    """Record with a progress bar; the paths of the finished logs."""
+    from contextlib import closing
+
+    from mapreplay.cli.progress import progress_bar
+    from mapreplay.recorders.batch import Done, Failed, record_all
+
+    done: list[Path] = []
+    with (
+        closing(record_all(tasks, jobs)) as reports,
+        progress_bar("steps", "coverage", "episode") as bar,
+    ):
+        whole = bar.add_task("episodes", total=len(tasks), steps="", coverage="", episode="")
+        for report in reports:
+            name = tasks[report.task].floor_plan.id
+            if isinstance(report, Done):
+                done.append(report.path)
+            elif isinstance(report, Failed):
+                note(f"failed: {name}: {report.reason}")
+            else:
+                target = tasks[report.task].config.coverage
+                bar.update(
+                    whole,
+                    completed=len(done) + min(report.coverage / target, 1.0),
+                    steps=f"step {report.step}",
+                    coverage=f"coverage {report.coverage:.2f}",
+                    episode=name[:24],
+                )
+                continue
+            bar.update(whole, completed=len(done))
+    return done
+
+
+def _watch(tasks: list[Task]) -> list[Path]:
+    """Record one episode after the other, showing each step as it happens."""
+    from mapreplay.episode import prepare_episode, run_episode
+    from mapreplay.predictors import load_predictor
+    from mapreplay.recorders.rerun_view import LiveView
+    from mapreplay.recorders.writer import EpisodeWriter
+
+    done = []
+    for task in tasks:
+        predictor = load_predictor(task.config.predictor, task.device)
+        episode = prepare_episode(task.config, task.floor_plan, predictor=predictor)
+        path = task.folder / episode.header.file_name
+        with (
+            EpisodeWriter(path, episode.header, profile=task.profile, force=task.force) as writer,
+            LiveView(episode.header) as live,
+        ):
+            for step in run_episode(episode):
+                writer.write(step)
+                live.add(step)
+        done.append(path)
+    return done
+
+
+def _print_results(paths: list[Path], form: Format) -> None:
+    from mapreplay.analysis.episodes import TABLE_COLUMNS, episode_frame, episode_row
+
+    frame = episode_frame([episode_row(path) for path in paths])
+    emit(frame, "mapreplay.episodes/1", form, columns=TABLE_COLUMNS)

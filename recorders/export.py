@@ -1,0 +1,180 @@
+"""A log's arrays as one NumPy file, and its maps as pictures."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import IO, Any, Final
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from mapreplay.errors import LogError
+from mapreplay.grid import FREE, OCCUPIED, Grid, Quantized
+from mapreplay.mapping import dequantize
+from mapreplay.recorders.log import EpisodeLog
+from mapreplay.step import StepMetrics
+
+UNKNOWN_GREY: Final = 160
+FREE_GREY: Final = 250
+OCCUPIED_GREY: Final = 30
+
+MAX_SIDE: Final = 16384
+"""Pixels along the longer side above which a picture is refused."""
+
+Array = npt.NDArray[Any]
+
+
+def export_arrays(log: EpisodeLog, path: Path, *, force: bool = False) -> None:
+    """Write all arrays of a log to the ``.npz`` file `path`, n steps stacked.
+
+    observed, fused: int8[n, H, W]; p_wall: uint8, uint16 or float32[m, H, W] of the m steps
+    in p_wall_step, both only if there was a prediction; truth: int8[H, W]; explorable:
+    bool[H, W]; agent, target: int32[n, 2] (row, col), the target -1 where there is none;
+    hits: int16[n, rays]; and a float64[n] for each of `StepMetrics`, NaN where undefined.
+    The log is read once for each kind of map, so that memory stays bounded.
+
+    Raises:
+        LogError: the log is damaged, or `path` exists or cannot be written.
+    """
+    _refuse_overwriting(path, force=force)
+    part = path.with_name(path.name + ".part")
+    try:
+        with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
+            _add_arrays(archive, log)
+        part.replace(path)
+    except OSError as error:
+        raise _cannot_write(path, error) from None
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _add_arrays(archive: zipfile.ZipFile, log: EpisodeLog) -> None:
+    agents, targets, hits, metrics, predicted = [], [], [], [], []
+    prediction_dtype: np.dtype[Any] | None = None
+    for step in log.steps():
+        agents.append(step.agent)
+        targets.append(step.decision.target if step.decision else (-1, -1))
+        hits.append(step.hits)
+        metrics.append([getattr(step.metrics, name) for name in StepMetrics.names()])
+        if step.p_wall is not None:
+            predicted.append(step.index)
+            prediction_dtype = step.p_wall.dtype
+    count, shape = len(agents), log.header.floor_plan.shape
+    arrays = {
+        "truth": log.header.floor_plan.cells,
+        "explorable": log.explorable,
+        "agent": np.array(agents, np.int32).reshape(count, 2),
+        "target": np.array(targets, np.int32).reshape(count, 2),
+        "hits": np.array(hits, np.int16).reshape(count, log.header.sensor.rays),
+    }
+    columns = np.array(metrics, np.float64).reshape(count, len(StepMetrics.names()))
+    arrays |= dict(zip(StepMetrics.names(), columns.T, strict=True))
+    for name, array in arrays.items():
+        _add_stack(archive, name, array.dtype, array.shape, [array])
+    maps = np.dtype(np.int8)
+    _add_stack(archive, "observed", maps, (count, *shape), (s.observed for s in log.steps()))
+    _add_stack(archive, "fused", maps, (count, *shape), (s.fused for s in log.steps()))
+    if prediction_dtype is not None:
+        of_step = np.array(predicted, np.int32)
+        _add_stack(archive, "p_wall_step", of_step.dtype, of_step.shape, [of_step])
+        rows = (s.p_wall for s in log.steps() if s.p_wall is not None)
+        _add_stack(archive, "p_wall", prediction_dtype, (len(predicted), *shape), rows)
+
+
+def _add_stack(
+    archive: zipfile.ZipFile,
+    name: str,
+    dtype: np.dtype[Any],
+    shape: tuple[int, ...],
+    parts: Iterable[Array],
+) -> None:
+    """Write one array of `shape` whose memory is that of `parts`, one after the other."""
+    # A fixed date, so that the same log gives the same file.
+    entry = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
+    entry.compress_type = zipfile.ZIP_DEFLATED
+    with archive.open(entry, "w", force_zip64=True) as file:
+        _write_npy_header(file, dtype, shape)
+        for part in parts:
+            file.write(np.ascontiguousarray(part, dtype).tobytes())
+
+
+def _write_npy_header(file: IO[bytes], dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
+    descr = np.lib.format.dtype_to_descr(dtype)
+    np.lib.format.write_array_header_1_0(
+        file, {"descr": descr, "fortran_order": False, "shape": shape}
+    )
+
+
+def export_images(
+    log: EpisodeLog, folder: Path, steps: Sequence[int], scale: int = 4, *, force: bool = False
+) -> list[Path]:
+    """Write the maps of some steps as PNG, `scale` pixels a cell, row 0 at the bottom.
+
+    ``truth.png``, and ``step-<k>-observed.png``, ``-fused.png`` and, if there was a
+    prediction, ``-predicted.png`` for each step: unknown is grey, free nearly white, occupied
+    dark, and a prediction in between. Returns the files.
+
+    Raises:
+        LogError: there is no such step, the log is damaged, a picture would be too large, or
+            a file exists or cannot be written.
+    """
+    side = max(log.header.floor_plan.shape)
+    if not 1 <= scale <= MAX_SIDE // side:
+        raise LogError(f"scale {scale}: must be 1 to {MAX_SIDE // side} for maps of {side} cells")
+    for k in steps:
+        if not 0 <= k < len(log):
+            raise LogError(f"{log.path}: no step {k}; it has steps 0 to {len(log) - 1}")
+    written = []
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, grey in _pictures(log, steps):
+            path = folder / f"{name}.png"
+            _refuse_overwriting(path, force=force)
+            path.write_bytes(_png(grey, scale))
+            written.append(path)
+    except OSError as error:
+        raise _cannot_write(folder, error) from None
+    return written
+
+
+def _pictures(log: EpisodeLog, steps: Sequence[int]) -> Iterator[tuple[str, npt.NDArray[np.uint8]]]:
+    yield "truth", shade(log.header.floor_plan.cells)
+    for k in steps:
+        step, name = log[k], f"step-{k:06d}"
+        yield f"{name}-observed", shade(step.observed)
+        yield f"{name}-fused", shade(step.fused)
+        if step.p_wall is not None:
+            yield f"{name}-predicted", shade_prediction(step.p_wall)
+
+
+def shade(cells: Grid) -> npt.NDArray[np.uint8]:
+    """uint8[H, W]: a map's cells as greys."""
+    greys = np.full(cells.shape, UNKNOWN_GREY, np.uint8)
+    greys[cells == FREE] = FREE_GREY
+    greys[cells == OCCUPIED] = OCCUPIED_GREY
+    return greys
+
+
+def shade_prediction(p_wall: Quantized) -> npt.NDArray[np.uint8]:
+    """uint8[H, W]: P(occupied) as a grey between those of free and occupied."""
+    span = OCCUPIED_GREY - FREE_GREY
+    return np.rint(FREE_GREY + span * dequantize(p_wall)).astype(np.uint8)
+
+
+def _png(grey: npt.NDArray[np.uint8], scale: int) -> bytes:
+    picture = np.flipud(grey)  # pictures have row 0 on top
+    size = (picture.shape[1] * scale, picture.shape[0] * scale)
+    _, data = cv2.imencode(".png", cv2.resize(picture, size, interpolation=cv2.INTER_NEAREST))
+    return data.tobytes()
+
+
+def _refuse_overwriting(path: Path, *, force: bool) -> None:
+    if not force and path.exists():
+        raise LogError(f"{path}: exists; choose another name, or overwrite with --force")
+
+
+def _cannot_write(path: Path, error: OSError) -> LogError:
+    return LogError(f"{path}: cannot be written ({error.strerror or error})")

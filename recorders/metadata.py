@@ -1,0 +1,135 @@
+"""What a log says once, as the string pairs of two MCAP metadata records.
+
+``mapreplay.episode`` is written first, so that unfinished files have it; it carries a
+checksum of its own, because MCAP's cover metadata only in finished files.
+``mapreplay.outcome`` is written last.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from pydantic import ValidationError
+
+from mapreplay.config import EpisodeConfig, describe
+from mapreplay.errors import LogError
+from mapreplay.floorplan import FloorPlan
+from mapreplay.grid import Cell
+from mapreplay.step import EpisodeHeader, Outcome, PredictorIdentity
+
+FORMAT_VERSION: Final = 1
+EPISODE_RECORD: Final = "mapreplay.episode"
+OUTCOME_RECORD: Final = "mapreplay.outcome"
+
+Pairs = Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class EpisodeSummary:
+    """How an episode ended."""
+
+    outcome: Outcome
+    steps: int
+    """Moves made: the index of the last step."""
+    mapping_time: int | None
+    """The first step at which the coverage of the built map reached the target."""
+    correct_time: int | None
+    """The first step at which its correct coverage reached `config.correct_coverage`."""
+    path_length: float
+    """Metres."""
+
+
+def episode_pairs(header: EpisodeHeader) -> dict[str, str]:
+    """The record ``mapreplay.episode``; no path, host or date is in it."""
+    pairs = {
+        "format_version": str(FORMAT_VERSION),
+        "config": header.config.model_dump_json(),
+        "floor_plan_id": header.floor_plan.id,
+        "floor_plan_sha256": header.floor_plan.sha256,
+        # An OccupancyGrid keeps only a float32 of it.
+        "resolution": repr(float(header.floor_plan.resolution)),
+        "start": json.dumps(header.start),
+        "max_steps": str(header.max_steps),
+        "predictor": header.predictor.name,
+        "predictor_sha256": header.predictor.sha256,
+        "seed": str(header.config.seed),
+        "versions": json.dumps(dict(header.versions)),
+    }
+    return pairs | {"crc32": _crc(pairs)}
+
+
+def check_episode_pairs(pairs: Pairs) -> None:
+    """Whether this version can read the log, and whether the record is intact.
+
+    Raises:
+        LogError: the log was written by a newer version.
+        KeyError, ValueError: the record is damaged.
+    """
+    version = int(pairs["format_version"])
+    if version > FORMAT_VERSION:
+        raise LogError(
+            f"log format {version} is newer than {FORMAT_VERSION}, the newest that this "
+            "mapreplay reads; upgrade mapreplay"
+        )
+    if pairs["crc32"] != _crc({key: pairs[key] for key in pairs if key != "crc32"}):
+        raise ValueError(f"the checksum of {EPISODE_RECORD} does not match")
+
+
+def header_of(pairs: Pairs, floor_plan: FloorPlan) -> EpisodeHeader:
+    """The header that `episode_pairs` and the true map tell.
+
+    Raises:
+        LogError: the configuration has an illegal value, or the map is not the one meant.
+        KeyError, ValueError: the record is damaged.
+        FloorPlanError: the start is not a free cell.
+    """
+    try:
+        config = EpisodeConfig.model_validate_json(pairs["config"])
+    except ValidationError as error:
+        raise LogError(f"its configuration: {describe(error)}") from None
+    if floor_plan.sha256 != pairs["floor_plan_sha256"]:
+        raise ValueError("the true map is not the one that the metadata names")
+    row, col = json.loads(pairs["start"])
+    return EpisodeHeader(
+        config=config,
+        floor_plan=floor_plan,
+        start=floor_plan.check_start(Cell(row, col)),
+        max_steps=int(pairs["max_steps"]),
+        predictor=PredictorIdentity(pairs["predictor"], pairs["predictor_sha256"]),
+        versions=tuple(json.loads(pairs["versions"]).items()),
+    )
+
+
+def outcome_pairs(summary: EpisodeSummary) -> dict[str, str]:
+    """The record ``mapreplay.outcome``; what was never reached is empty."""
+    mapping, correct = summary.mapping_time, summary.correct_time
+    return {
+        "outcome": str(summary.outcome),
+        "steps": str(summary.steps),
+        "mapping_time": "" if mapping is None else str(mapping),
+        "correct_time": "" if correct is None else str(correct),
+        "path_length": repr(float(summary.path_length)),
+    }
+
+
+def summary_of(pairs: Pairs) -> EpisodeSummary:
+    """The inverse of `outcome_pairs`.
+
+    Raises:
+        KeyError, ValueError: the record is damaged.
+    """
+    return EpisodeSummary(
+        outcome=Outcome(pairs["outcome"]),
+        steps=int(pairs["steps"]),
+        mapping_time=int(pairs["mapping_time"]) if pairs["mapping_time"] else None,
+        correct_time=int(pairs["correct_time"]) if pairs["correct_time"] else None,
+        path_length=float(pairs["path_length"]),
+    )
+
+
+def _crc(pairs: Pairs) -> str:
+    return f"{zlib.crc32(json.dumps(sorted(pairs.items())).encode()):08x}"

@@ -1,0 +1,303 @@
+"""An episode shown in Rerun: in a file, a window, or a browser; whole or while it happens."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self, TypeAlias
+from urllib.parse import quote
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from mapreplay.errors import LogError, MapreplayError, UsageError
+from mapreplay.recorders.rerun_columns import EpisodeColumns, send_episode
+from mapreplay.recorders.rerun_layout import application_id, layout
+from mapreplay.step import EpisodeHeader, Step
+
+__all__ = [
+    "LiveView",
+    "Sink",
+    "WebServer",
+    "layout",
+    "native_viewer",
+    "open_viewer",
+    "save_rrd",
+    "send_episode",
+    "serve_web",
+]
+
+LOOPBACK: Final = "127.0.0.1"
+VIEWER_PORT: Final = 9876
+"""Where Rerun's viewers listen by convention: one that is open is used again."""
+_START_SECONDS: Final = 20.0
+_FLUSH_SECONDS: Final = 60.0
+
+Sink: TypeAlias = Callable[[rr.RecordingStream, rrb.Blueprint], None]
+"""Connects a new recording, with its layout, to where it is shown."""
+
+
+def save_rrd(
+    path: Path, header: EpisodeHeader, steps: Iterable[Step], *, force: bool = False
+) -> None:
+    """Write an episode with its layout to an .rrd file, whole or not at all.
+
+    Raises:
+        LogError: the file is there and `force` is not given, or it cannot be written.
+    """
+    if path.exists() and not force:
+        raise LogError(f"{path}: already there; use --force to overwrite it")
+    part = path.with_name(path.name + ".part")
+    try:
+        part.write_bytes(b"")  # Rerun would not say why a file cannot be opened
+    except OSError as error:
+        raise LogError(f"{path}: cannot be written ({error.strerror})") from None
+    try:
+        _show(header, steps, lambda recording, blueprint: recording.save(part, blueprint))
+        part.replace(path)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be written ({error.strerror})") from None
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def open_viewer(header: EpisodeHeader, steps: Iterable[Step], port: int = VIEWER_PORT) -> None:
+    """Show an episode in the native viewer.
+
+    Returns when all steps are sent; the viewer stays.
+
+    Raises:
+        UsageError: there is no display.
+        MapreplayError: the viewer does not start.
+    """
+    _show(header, steps, native_viewer(port))
+
+
+def serve_web(
+    header: EpisodeHeader,
+    steps: Iterable[Step],
+    web_port: int | None = None,
+    grpc_port: int | None = None,
+) -> WebServer:
+    """Show an episode to browsers on this machine; see `WebServer`.
+
+    Returns when all steps are sent; the caller closes the server.
+
+    Raises:
+        UsageError: a port is not free.
+        MapreplayError: the server does not start.
+    """
+    server = WebServer(web_port, grpc_port)
+    try:
+        _show(header, steps, server.connect)
+    except BaseException:
+        server.close()
+        raise
+    return server
+
+
+class LiveView:
+    """Shows an episode while it happens, laid out as a finished one.
+
+    `sink` is by default `native_viewer()`; the other is the `connect` of a `WebServer`.
+
+    Raises:
+        UsageError: by default, where there is no display.
+    """
+
+    def __init__(self, header: EpisodeHeader, sink: Sink | None = None) -> None:
+        sink = sink or native_viewer()
+        self._recording = _new_recording(header)
+        sink(self._recording, layout(header, play_state=rrb.components.PlayState.Following))
+        self._columns = EpisodeColumns(self._recording, header)
+
+    def add(self, step: Step) -> None:
+        """Show the next step."""
+        self._columns.send([step])
+
+    def close(self) -> None:
+        """Send what is left and let go of the viewer, which stays."""
+        try:
+            self._recording.flush(timeout_sec=_FLUSH_SECONDS)
+        finally:
+            self._recording.disconnect()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def native_viewer(port: int = VIEWER_PORT) -> Sink:
+    """A `Sink` that opens a window, or uses the viewer that already listens at `port`.
+
+    Raises:
+        UsageError: there is no display.
+    """
+    require_display(sys.platform, os.environ)
+
+    def connect(recording: rr.RecordingStream, blueprint: rrb.Blueprint) -> None:
+        if not _answers(port):
+            options = ("--hide-welcome-screen", "--expect-data-soon", "--detach-process")
+            with _viewer(f"--port={port}", *options):  # ends at once; the window is its child
+                pass
+            _await(lambda: _answers(port), "the Rerun viewer")
+        recording.connect_grpc(_grpc_address(port), default_blueprint=blueprint)
+
+    return connect
+
+
+def require_display(platform: str, environment: Mapping[str, str]) -> None:
+    """Check that a window can be opened.
+
+    Raises:
+        UsageError: this is Linux without an X11 or Wayland display.
+    """
+    displays = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
+    if platform == "linux" and not any(environment.get(name) for name in displays):
+        raise UsageError(
+            "no display to open the viewer on; use --web for a browser, or --save FILE.rrd"
+        )
+
+
+class WebServer:
+    """Rerun's web viewer and the gRPC server that feeds it, reachable from this machine only.
+
+    Both end when this is closed.
+
+    Args:
+        web_port: of the page; None takes a free one.
+        grpc_port: of the data; None takes a free one.
+
+    Raises:
+        UsageError: a port is not free.
+        MapreplayError: the server does not start.
+    """
+
+    def __init__(self, web_port: int | None = None, grpc_port: int | None = None) -> None:
+        web, grpc = _free_port(web_port), _free_port(grpc_port)
+        self._grpc_address = _grpc_address(grpc)
+        self.address = f"http://{LOOPBACK}:{web}?url={quote(self._grpc_address, safe='')}"
+        # The SDK's own servers listen on every interface, and cannot be told otherwise.
+        self._process = _viewer(
+            "--serve-web",
+            f"--web-viewer-port={web}",
+            f"--port={grpc}",
+            "--server-memory-limit=50%",
+        )
+        try:
+            _await(lambda: self._ended or (_answers(web) and _answers(grpc)), "the web server")
+            if self._ended:
+                raise MapreplayError("the web server ended at once; use --save FILE.rrd")
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def _ended(self) -> bool:
+        return self._process.poll() is not None
+
+    def connect(self, recording: rr.RecordingStream, blueprint: rrb.Blueprint) -> None:
+        """The `Sink` that sends to this server."""
+        recording.connect_grpc(self._grpc_address, default_blueprint=blueprint)
+
+    def wait(self) -> None:
+        """Return when the server has ended."""
+        self._process.wait()
+
+    def close(self) -> None:
+        """End the server."""
+        self._process.terminate()
+        try:
+            self._process.wait(timeout=5)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _await(ready: Callable[[], bool], what: str) -> None:
+    deadline = time.monotonic() + _START_SECONDS
+    while not ready():
+        if time.monotonic() > deadline:
+            raise MapreplayError(f"{what} does not start; use --save FILE.rrd")
+        time.sleep(0.05)
+
+
+def _show(header: EpisodeHeader, steps: Iterable[Step], sink: Sink) -> None:
+    recording = _new_recording(header)
+    try:
+        sink(recording, layout(header))
+        send_episode(recording, header, steps)
+        recording.flush(timeout_sec=_FLUSH_SECONDS)
+    finally:
+        recording.disconnect()
+
+
+def _new_recording(header: EpisodeHeader) -> rr.RecordingStream:
+    recording = rr.RecordingStream(application_id(header))
+    recording.send_recording_name(header.file_name.removesuffix(".mcap"))
+    return recording
+
+
+def _viewer(*arguments: str) -> subprocess.Popen[bytes]:
+    """Start the viewer's program, listening on loopback only: its default is every interface."""
+    return subprocess.Popen(  # noqa: S603
+        [_executable(), f"--bind={LOOPBACK}", *arguments],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, "RERUN_APP_ONLY": "true"},
+    )
+
+
+def _executable() -> Path:
+    """The viewer itself: ending the launcher of the same name would leave it running."""
+    spec = importlib.util.find_spec("rerun_cli")
+    folder = Path(spec.origin).parent if spec and spec.origin else Path()
+    for name in ("Rerun.app/Contents/MacOS/Rerun", "rerun", "rerun.exe"):
+        if (folder / name).is_file():
+            return folder / name
+    raise MapreplayError("the Rerun viewer is missing; install rerun-sdk from a wheel")
+
+
+def _free_port(wanted: int | None) -> int:
+    with socket.socket() as probe:
+        try:
+            probe.bind((LOOPBACK, wanted or 0))
+        except OSError as error:
+            raise UsageError(f"port {wanted} cannot be used ({error.strerror})") from None
+        return int(probe.getsockname()[1])
+
+
+def _grpc_address(port: int) -> str:
+    return f"rerun+http://{LOOPBACK}:{port}/proxy"
+
+
+def _answers(port: int) -> bool:
+    with socket.socket() as probe:
+        probe.settimeout(1.0)
+        return probe.connect_ex((LOOPBACK, port)) == 0

@@ -1,0 +1,27 @@
+"""What all tests share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+SHARED = Path(__file__).parents[2] / "shared" / "data"
+
+
+@pytest.fixture(scope="session")
+def houseexpo() -> Path:
+    """The folder with HouseExpo's archive and lists, where there is one."""
+    folder = SHARED / "houseexpo"
+    if not (folder / "json.tar.gz").exists():
+        pytest.skip("HouseExpo is not on this machine")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def mrpb() -> Path:
+    """The folder with the MRPB maps, where there is one."""
+    folder = SHARED / "mrpb"
+    if not folder.is_dir():
+        pytest.skip("the MRPB maps are not on this machine")
+    return folder

@@ -1,0 +1,89 @@
+"""Configuration: errors name the key, the value and what is allowed."""
+
+from pathlib import Path
+
+import pytest
+
+from mapreplay.config import EpisodeConfig, MapKind, RunConfig, read_toml
+from mapreplay.errors import ConfigError
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("coverage", 1.5, "config: coverage = 1.5: should be less than or equal to 1"),
+        ("coverage", 0, "config: coverage = 0: should be greater than 0"),
+        ("delta_free", -0.1, "config: delta_free = -0.1: should be greater than or equal to 0"),
+        ("plan_on", "truth", "config: plan_on = 'truth': should be 'observed' or 'fused'"),
+        ("rays", 12, "config: rays = 12: should be a multiple of 8"),
+        ("seed", -1, "config: seed = -1: should be greater than or equal to 0"),
+        ("max_steps", 0, "config: max_steps = 0: should be greater than or equal to 1"),
+        (
+            "prediction_dtype",
+            "int8",
+            "config: prediction_dtype = 'int8': should be 'uint8', 'uint16' or 'float32'",
+        ),
+        ("start", (-1, 2), "config: start.0 = -1: should be greater than or equal to 0"),
+        ("planner", "", "config: planner = '': should be a name of 1 to 512 characters"),
+        ("delta", 0.5, "config: unknown key 'delta'"),
+        ("coverage", float("nan"), "config: coverage = nan: should be a finite number"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(key: str, value: object, message: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        EpisodeConfig.of({key: value})
+    assert str(error.value) == message
+
+
+def test_the_defaults_are_those_of_the_paper() -> None:
+    config = EpisodeConfig()
+    assert (config.delta_free, config.delta_occupied, config.coverage) == (0.93, 0.95, 0.98)
+    assert (config.rays, config.reach, config.fail_safe) == (16, 20, False)
+
+
+def test_a_configuration_survives_json() -> None:
+    config = EpisodeConfig(start=(3, 4), plan_on=MapKind.OBSERVED, seed=7, max_steps=9)
+    assert EpisodeConfig.model_validate_json(config.model_dump_json()) == config
+
+
+@pytest.mark.parametrize(
+    ("maps", "expected"),
+    [
+        ({}, "d2"),
+        ({"plan_on": "observed"}, "d2"),
+        ({"plan_on": "observed", "build": "observed"}, "none"),
+        ({"plan_on": "observed", "build": "observed", "predictor": "d1"}, "d1"),
+        ({"predictor": "none"}, "none"),
+    ],
+)
+def test_the_predictor_is_what_suits_the_plans_and_is_needed(
+    maps: dict[str, str], expected: str
+) -> None:
+    assert RunConfig.of(maps).episode("d2", seed=1).predictor == expected
+
+
+def test_a_toml_file_has_the_same_keys(tmp_path: Path) -> None:
+    path = tmp_path / "run.toml"
+    path.write_text('planner = "nearest"\nfail_safe = true\nstart = [3, 4]\njobs = 2\n')
+    config = RunConfig.of(read_toml(path))
+    assert (config.planner, config.fail_safe, config.start, config.jobs) == (
+        "nearest", True, (3, 4), 2,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [(b"planner = ", "not TOML"), (b"\xff\xfe", "not TOML"), (b"#" * (2 << 20), "larger than")],
+)
+def test_a_file_that_is_no_configuration_is_refused(
+    tmp_path: Path, text: bytes, message: str
+) -> None:
+    path = tmp_path / "run.toml"
+    path.write_bytes(text)
+    with pytest.raises(ConfigError, match=message):
+        read_toml(path)
+
+
+def test_a_missing_configuration_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"none\.toml: cannot be read \(No such file"):
+        read_toml(tmp_path / "none.toml")

@@ -1,0 +1,165 @@
+"""Training: simulated observations, batches, and a loop that learns, stops and goes on."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drawing import draw, plan
+from mapreplay.errors import FloorPlanError, WeightsError
+from mapreplay.floorplan import FloorPlan, explorable
+from mapreplay.floorplans.procedural import Style, generate
+from mapreplay.grid import FREE, UNKNOWN, Cell
+from mapreplay.sensor import Sensor
+from mapreplay.training.dataset import (
+    Epoch,
+    TrainingPlan,
+    load_plans,
+    make_batch,
+    padded_shape,
+    prepare_plan,
+)
+from mapreplay.training.loop import Trainer, TrainingConfig
+from mapreplay.training.observations import (
+    RUNS_PER_PLAN,
+    observation_draws,
+    simulate_observations,
+)
+
+
+@pytest.fixture(scope="module")
+def plans() -> list[TrainingPlan]:
+    small = Style(height=24, width=24, min_room=5, door=3, shift=2)
+    return [prepare_plan(i, generate(i, small)) for i in range(12)]
+
+
+def test_simulated_observations_are_true_connected_and_not_everything(
+    plans: list[TrainingPlan],
+) -> None:
+    shares = []
+    for item in plans:
+        for run in range(RUNS_PER_PLAN):
+            seen = simulate_observations(
+                item.truth, item.explorable, Sensor(), observation_draws(0, item.number, run)
+            )
+            known = seen != UNKNOWN
+            assert (seen[known] == item.truth[known]).all()
+            # Free cells seen hang together: they were seen by one walk.
+            free = seen == FREE
+            start = Cell(*np.argwhere(free)[0].tolist())
+            region = explorable(np.where(free, 0, 100).astype(np.int8), start)
+            assert (region & free).sum() == free.sum()
+            shares.append(known[item.explorable].mean())
+    assert min(shares) < 0.4
+    assert max(shares) > 0.8
+
+
+def test_the_same_run_is_the_same_observation_and_another_run_is_not() -> None:
+    item = prepare_plan(0, generate(0))
+
+    def observed(run: int) -> bytes:
+        draws = observation_draws(0, 0, run)
+        return simulate_observations(item.truth, item.explorable, Sensor(), draws).tobytes()
+
+    assert observed(1) == observed(1)
+    assert len({observed(run) for run in range(RUNS_PER_PLAN)}) == RUNS_PER_PLAN
+
+
+def test_an_epoch_has_every_run_of_every_plan_once_and_batches_of_one_size() -> None:
+    mixed = [prepare_plan(i, FloorPlan("box", np.pad(np.zeros((6 + i, 9), np.int8), 1,
+             constant_values=100), 0.2)) for i in range(10)]  # fmt: skip
+    epoch = Epoch(mixed, cells_per_batch=400, seed=1, number=0)
+    groups = epoch.batches()
+    assert sorted(pair for group in groups for pair in group) == [
+        (p, r) for p in range(10) for r in range(RUNS_PER_PLAN)
+    ]
+    assert groups == Epoch(mixed, 400, 1, 0).batches()
+    assert groups != Epoch(mixed, 400, 1, 1).batches()
+    for group in groups:
+        batch = epoch.batch(group)
+        assert batch.observed.shape == batch.truth.shape == batch.explorable.shape
+        assert batch.observed.shape[1] % 8 == batch.observed.shape[2] % 8 == 0
+        assert not batch.explorable[batch.truth == UNKNOWN].any()
+
+
+def test_large_plans_are_cut_around_their_start() -> None:
+    cells = np.full((400, 300), 100, np.int8)
+    cells[1:-1, 1:-1] = 0
+    item = prepare_plan(0, FloorPlan("hall", cells, 0.2))
+    assert item.truth.shape == (160, 160)
+    assert item.explorable.any()
+    assert padded_shape(item) == (160, 160)
+
+
+def test_one_bad_plan_does_not_end_the_loading() -> None:
+    good = plan("""
+        ########
+        #......#
+        #......#
+        #......#
+        #......#
+        #......#
+        #......#
+        ########
+    """)
+
+    def load(name: str) -> FloorPlan:
+        if name == "bad":
+            raise FloorPlanError("house bad: not a house")
+        return good if name == "good" else FloorPlan("tiny", draw("."), 1.0)
+
+    results = list(load_plans(["good", "bad", "tiny", "good"], load))
+    assert [isinstance(r, TrainingPlan) for r in results] == [True, False, False, True]
+    assert results[3].number == 3  # type: ignore[union-attr]
+
+
+def train(
+    plans: list[TrainingPlan], checkpoint: Path, stop_after: int | None = None, resume: bool = False
+) -> Trainer:
+    config = TrainingConfig(samples=480, batch=8, validate_every=120)
+    trainer = Trainer(plans[:10], plans[10:], config, "cpu", checkpoint)
+    if resume:
+        trainer.resume()
+    for report in trainer.run():
+        if isinstance(report, int) and stop_after and report > stop_after:
+            break
+    return trainer
+
+
+def test_training_learns(plans: list[TrainingPlan], tmp_path: Path) -> None:
+    trainer = train(plans, tmp_path / "a.checkpoint")
+    losses = [point.validation_loss for point in trainer.curve]
+    assert len(losses) == 4
+    assert losses[-1] < losses[0]
+    assert trainer.samples >= 480
+
+
+def test_training_goes_on_where_it_was_killed_and_ends_the_same(
+    plans: list[TrainingPlan], tmp_path: Path
+) -> None:
+    whole = train(plans, tmp_path / "whole.checkpoint")
+    train(plans, tmp_path / "cut.checkpoint", stop_after=240)
+    resumed = train(plans, tmp_path / "cut.checkpoint", resume=True)
+    assert [p.samples for p in resumed.curve] == [p.samples for p in whole.curve]
+    for name, value in whole.model.state_dict().items():
+        assert (resumed.model.state_dict()[name] == value).all(), name
+
+
+def test_a_checkpoint_of_another_configuration_is_refused(
+    plans: list[TrainingPlan], tmp_path: Path
+) -> None:
+    path = tmp_path / "a.checkpoint"
+    train(plans, path)
+    other = Trainer(plans[:10], plans[10:], TrainingConfig(samples=999), "cpu", path)
+    with pytest.raises(WeightsError, match="was made with"):
+        other.resume()
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(WeightsError, match="not a safetensors file"):
+        other.resume()
+
+
+def test_batches_are_what_make_batch_says(plans: list[TrainingPlan]) -> None:
+    batch = make_batch(plans[:3], [0, 1, 2], seed=5)
+    assert batch.observed.shape == (3, 24, 24)
+    known = batch.observed != UNKNOWN
+    assert (batch.observed[known] == batch.truth[known]).all()
