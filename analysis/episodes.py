@@ -51,13 +51,6 @@ class EpisodeRow:
     """Steps planned in fail-safe mode."""
 
 
-TABLE_COLUMNS: Final = (
-    "floor_plan", "planner", "plan_on", "build", "outcome", "steps", "path_length", "coverage",
-    "correct", "f1",
-)  # fmt: skip
-"""What a person wants to see of a row."""
-
-
 def episode_row(path: Path) -> EpisodeRow:
     """Summarize the log at `path`, finished or not, from its scalars.
 
@@ -111,6 +104,21 @@ def episode_frame(rows: Sequence[EpisodeRow]) -> pl.DataFrame:
     return pl.DataFrame([asdict(row) for row in rows], schema=schema)
 
 
+def brief(frame: pl.DataFrame) -> pl.DataFrame:
+    """What a person wants to see of an episode frame, narrow enough for a terminal."""
+    return frame.select(
+        pl.col("floor_plan").str.slice(0, 16),
+        "planner",
+        pl.format("{}/{}", "plan_on", "build").alias("maps"),
+        "outcome",
+        "steps",
+        pl.col("path_length").alias("path_m"),
+        pl.col("coverage").alias("cover"),
+        "correct",
+        "f1",
+    )
+
+
 _OPERATORS: Final[dict[str, Callable[[Any, Any], bool]]] = {
     "=": operator.eq, "!=": operator.ne, "<": operator.lt, "<=": operator.le,
     ">": operator.gt, ">=": operator.ge,
@@ -138,7 +146,9 @@ class Condition:
             raise UsageError(f"--where {text}: expected column=value, like outcome=sealed_in")
         names = [f.name for f in fields(EpisodeRow)]
         if match[1] not in names:
-            raise UsageError(f"--where {text}: no column {match[1]!r}; there are {', '.join(names)}")
+            raise UsageError(
+                f"--where {text}: no column {match[1]!r}; there are {', '.join(names)}"
+            )
         return cls(match[1], match[2], match[3])
 
     def holds(self, row: EpisodeRow) -> bool:

@@ -38,7 +38,7 @@ class FrontierSize:
 
     unit = "1"
 
-    def measure(self, header: EpisodeHeader, region: Mask, step: Step) -> float:
+    def measure(self, header: EpisodeHeader, region: Mask, step: Step) -> float:  # noqa: ARG002
         """See `Metric`."""
         return float(len(step.frontier))
 
@@ -71,7 +71,7 @@ def load_metric(name: str) -> Metric:
     Raises:
         PluginError: there is none, or it is broken.
     """
-    return cast(Metric, plugins.load(plugins.Group.METRICS, name)())
+    return cast("Metric", plugins.load(plugins.Group.METRICS, name)())
 
 
 @dataclass(frozen=True)
@@ -118,12 +118,10 @@ def recompute(
         yield Measured(step.index, metrics, values)
 
 
-def _guarded(
-    name: str, metric: Metric, header: EpisodeHeader, region: Mask, step: Step
-) -> float:
+def _guarded(name: str, metric: Metric, header: EpisodeHeader, region: Mask, step: Step) -> float:
     try:
         return float(metric.measure(header, region, step))
-    except Exception as error:  # noqa: BLE001 (whatever a foreign metric does)
+    except Exception as error:
         raise MapreplayError(
             f"metric {name!r} failed at step {step.index} ({type(error).__name__}: {error})"
         ) from error
@@ -162,6 +160,6 @@ def metrics_frame(rows: Sequence[Measured], extra: Sequence[str] = ()) -> pl.Dat
     }
     for i, name in enumerate(extra):
         columns[name] = [row.extra[i] for row in rows]
-    schema = {name: pl.Float64 for name in columns}
+    schema = dict.fromkeys(columns, pl.Float64)
     frame = pl.DataFrame(columns, schema=schema).fill_nan(None)
     return frame.insert_column(0, pl.Series("step", [row.step for row in rows], pl.Int64))

@@ -28,9 +28,7 @@ def _time(row: EpisodeRow) -> int:
     return max(row.mapping_time if row.mapping_time is not None else row.max_steps, 1)
 
 
-def pair_episodes(
-    reference: Iterable[EpisodeRow], candidate: Iterable[EpisodeRow]
-) -> list[Pair]:
+def pair_episodes(reference: Iterable[EpisodeRow], candidate: Iterable[EpisodeRow]) -> list[Pair]:
     """Pairs by floor plan, start and seed, in the order of `reference`; the rest is left out."""
 
     def key(row: EpisodeRow) -> tuple[str, int, int, int]:

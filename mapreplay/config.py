@@ -65,8 +65,8 @@ class EpisodeConfig(BaseModel):
 
     @field_validator("planner", "predictor")
     @classmethod
-    def _name(cls, value: str) -> str:
-        if not 1 <= len(value) <= _MAX_NAME:
+    def _name(cls, value: str | None) -> str | None:
+        if value is not None and not 1 <= len(value) <= _MAX_NAME:
             raise ValueError(f"be a name of 1 to {_MAX_NAME} characters")
         return value
 
@@ -104,13 +104,6 @@ class RunConfig(EpisodeConfig):
     device: str = "cpu"
     profile: bool = False
     out: Path | None = None
-
-    @field_validator("predictor")
-    @classmethod
-    def _name(cls, value: str | None) -> str | None:
-        if value is not None and not 1 <= len(value) <= _MAX_NAME:
-            raise ValueError(f"be a name of 1 to {_MAX_NAME} characters")
-        return value
 
     def episode(self, default_predictor: str, seed: int) -> EpisodeConfig:
         """The configuration of one episode.

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
 from importlib.metadata import version
+from itertools import pairwise
 from time import perf_counter_ns
 from typing import Final
 

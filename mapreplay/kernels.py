@@ -197,7 +197,9 @@ def touching_unknown(straight: Any, built: Any, neighbours: int, moves: Any) -> 
 
 
 @njit(cache=True)
-def view_gains(grid: Any, uncertainty: Any, cells: Any, offsets: Any, seen: Any, gains: Any) -> None:
+def view_gains(
+    grid: Any, uncertainty: Any, cells: Any, offsets: Any, seen: Any, gains: Any
+) -> None:
     """gains[i] = the sum of `uncertainty` over what the sensor would mark from cells[i].
 
     grid: int8[H, W]; a ray ends with its first 100, and -1 is transparent. uncertainty:

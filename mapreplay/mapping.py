@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 from fractions import Fraction
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +26,10 @@ class PredictionDtype(StrEnum):
     FLOAT32 = "float32"
 
 
+_TOP: Final[dict[str, int]] = {"uint8": 2**8 - 1, "uint16": 2**16 - 1}
+"""What stands for certainty, of the integer types."""
+
+
 def quantize(p_wall: npt.NDArray[np.floating], dtype: PredictionDtype) -> Quantized:
     """Round P(occupied), float[H, W] in [0, 1], to the nearest value that `dtype` can hold.
 
@@ -35,22 +40,19 @@ def quantize(p_wall: npt.NDArray[np.floating], dtype: PredictionDtype) -> Quanti
         raise ValueError("P(occupied) must be in [0, 1] everywhere")
     if dtype is PredictionDtype.FLOAT32:
         return p_wall.astype(np.float32)
-    integer = np.uint8 if dtype is PredictionDtype.UINT8 else np.uint16
-    return np.rint(p_wall.astype(np.float64) * np.iinfo(integer).max).astype(integer)
+    scaled = np.rint(p_wall.astype(np.float64) * _TOP[dtype])
+    return scaled.astype(np.uint8 if dtype is PredictionDtype.UINT8 else np.uint16)
 
 
 def dequantize(quantized: Quantized) -> npt.NDArray[np.float64]:
     """P(occupied) as float64[H, W] in [0, 1]."""
-    if quantized.dtype.kind == "f":
-        return quantized.astype(np.float64)
-    return quantized / np.float64(np.iinfo(quantized.dtype).max)
+    return quantized.astype(np.float64) / _TOP.get(quantized.dtype.name, 1)
 
 
 def quantum(quantized: Quantized) -> float:
     """The step between two probabilities: 1/255, 1/65535, or the spacing of float32 at 1."""
-    if quantized.dtype.kind == "f":
-        return float(np.finfo(np.float32).eps)
-    return 1 / float(np.iinfo(quantized.dtype).max)
+    top = _TOP.get(quantized.dtype.name)
+    return 1 / top if top else float(np.finfo(np.float32).eps)
 
 
 @dataclass(frozen=True)
@@ -78,11 +80,11 @@ def threshold(quantized: Quantized, thresholds: Thresholds) -> Grid:
     float32. A value that satisfies both is free.
     """
     low, high = thresholds.free_at_most, thresholds.occupied_at_least
-    if quantized.dtype.kind == "f":
+    top = _TOP.get(quantized.dtype.name)
+    if top is None:
         free = quantized <= np.float32(float(low))
         occupied = quantized >= np.float32(float(high))
     else:
-        top = int(np.iinfo(quantized.dtype).max)
         free = quantized <= math.floor(low * top)
         occupied = quantized >= math.ceil(high * top)
     cells = np.where(occupied, np.int8(OCCUPIED), np.int8(UNKNOWN))
@@ -92,7 +94,8 @@ def threshold(quantized: Quantized, thresholds: Thresholds) -> Grid:
 
 def raw_classes(quantized: Quantized) -> Grid:
     """int8[H, W]: occupied where p >= .5, else free; nothing is unknown."""
-    half = 0.5 if quantized.dtype.kind == "f" else np.iinfo(quantized.dtype).max // 2 + 1
+    top = _TOP.get(quantized.dtype.name)
+    half = top // 2 + 1 if top else 0.5
     return np.where(quantized >= half, np.int8(OCCUPIED), np.int8(FREE))
 
 

@@ -110,11 +110,13 @@ class Situation:
         if self.prediction is None:
             return unseen.astype(np.float64)
         confidence = np.abs(2 * dequantize(self.prediction) - 1)
-        return np.where(unseen, 1 - confidence, 0.0)
+        uncertainty: Float64s = np.where(unseen, 1 - confidence, 0.0)
+        return uncertainty
 
     def gains(self) -> Float64s:
         """float64[n]: the sum of `uncertainty` over the cells that the sensor would mark from
-        each frontier cell on `plan_map`, where unknown cells are transparent."""
+        each frontier cell on `plan_map`, where unknown cells are transparent.
+        """
         gains = np.empty(len(self.frontier), np.float64)
         seen = np.zeros(self.plan_map.shape, np.int64)
         kernels.view_gains(

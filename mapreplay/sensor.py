@@ -42,7 +42,9 @@ def _offsets(rays: int, reach: int) -> npt.NDArray[np.int64]:
     exact = np.stack([np.outer(np.sin(angle), k), np.outer(np.cos(angle), k)], axis=-1)
     # Half is rounded away from zero, with room for the last bit of sin and cos, so that
     # opposite rays are mirror images and every machine agrees.
-    offsets = (np.sign(exact) * np.floor(np.abs(exact) + 0.5 + 1e-9)).astype(np.int64)
+    offsets: npt.NDArray[np.int64] = (np.sign(exact) * np.floor(np.abs(exact) + 0.5 + 1e-9)).astype(
+        np.int64
+    )
     offsets.setflags(write=False)
     return offsets
 
@@ -80,9 +82,7 @@ def ranges(hits: Hits, sensor: Sensor, resolution: float) -> npt.NDArray[np.floa
     return np.where(hits > 0, metres, np.inf).astype(np.float32)
 
 
-def hits_from_ranges(
-    metres: npt.NDArray[np.floating], sensor: Sensor, resolution: float
-) -> Hits:
+def hits_from_ranges(metres: npt.NDArray[np.floating], sensor: Sensor, resolution: float) -> Hits:
     """The inverse of `ranges`: the first cell of each ray whose distance is that range."""
     distances = np.hypot(sensor.offsets[..., 0], sensor.offsets[..., 1]) * resolution
     finite = np.isfinite(metres)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import multiprocessing
 import signal
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Final, TypeAlias
+from typing import Final, TypeAlias, cast
 
 from mapreplay.config import EpisodeConfig
 from mapreplay.episode import prepare_episode, run_episode
@@ -88,7 +89,7 @@ def _predictor(name: str, device: str) -> Predictor:
     return load_predictor(name, device)
 
 
-def record_all(tasks: Sequence[Task], jobs: int) -> Iterator[Report]:
+def record_all(tasks: Sequence[Task], jobs: int) -> Generator[Report, None, None]:
     """Record all tasks with `jobs` processes; reports come as they happen.
 
     The death of a worker costs its episode only. Closing the generator stops the workers;
@@ -107,8 +108,8 @@ def record_all(tasks: Sequence[Task], jobs: int) -> Iterator[Report]:
                 worker = _Worker.start(context)
                 workers[worker.connection] = worker
                 worker.give(*waiting.pop())
-            for connection in wait(list(workers)):
-                assert isinstance(connection, Connection)
+            for ready in wait(list(workers)):
+                connection = cast("Connection", ready)
                 worker = workers[connection]
                 report = worker.receive()
                 if report is None:
@@ -159,10 +160,8 @@ class _Worker:
 
     def stop(self) -> None:
         """Ask the process to end after the step that it is at, and wait for that."""
-        try:
+        with suppress(OSError):  # it may have ended already
             self.connection.send(None)
-        except OSError:
-            pass  # it has ended already
         self.connection.close()
         self.process.join()
 

@@ -98,12 +98,14 @@ def unpack(records: list[McapRecord], topics: dict[int, str]) -> Iterator[Unpack
     """The messages of a chunk; `topics` by channel id learns the channels in it.
 
     Raises:
-        KeyError: a message is on a channel that was never declared.
+        ValueError: a message is on a channel that was never declared.
     """
     for record in records:
         if isinstance(record, Channel):
             topics[record.id] = record.topic
         elif isinstance(record, Message):
+            if record.channel_id not in topics:
+                raise ValueError("a message is on a channel that was never declared")
             yield Unpacked(topics[record.channel_id], record)
 
 

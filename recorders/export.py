@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -48,7 +49,8 @@ def export_arrays(log: EpisodeLog, path: Path, *, force: bool = False) -> None:
     except OSError as error:
         raise _cannot_write(path, error) from None
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):  # it was never made, or has been renamed
+            part.unlink()
 
 
 def _add_arrays(archive: zipfile.ZipFile, log: EpisodeLog) -> None:

@@ -200,6 +200,8 @@ class EpisodeLog:
             raise LogError(f"{self.path}: cannot be read ({error.strerror or error})") from None
         except _DAMAGE as error:
             reason = " ".join(str(error).split())[:200] or type(error).__name__
+            if isinstance(error, KeyError):
+                reason += " is missing"
             raise LogError(
                 f"{self.path}: damaged ({reason}); copy it again, or record it again"
             ) from None

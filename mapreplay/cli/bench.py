@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from mapreplay.floorplan import FloorPlan
 
 bench_app = typer.Typer(
-    no_args_is_help=True, rich_markup_mode=None, help="Measure speed, and what a predictor is worth."
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Measure speed, and what a predictor is worth.",
 )
 
 SpecOption = Annotated[
@@ -70,7 +72,9 @@ def worth(
     with progress_bar() as bar:
         rows = list(
             bar.track(
-                measure_worth(plans, planner, loaded), len(plans), description=f"{predictor} episodes"
+                measure_worth(plans, planner, loaded),
+                len(plans),
+                description=f"{predictor} episodes",
             )
         )
     frame = pl.DataFrame([asdict(row) | {"reduction": row.reduction} for row in rows])

@@ -34,11 +34,13 @@ def info(
         ("floor plan", "resolution", f"{plan.resolution} m a cell"),
         ("floor plan", "explorable cells", int(opened.explorable.sum())),
         ("floor plan", "sha256", plan.sha256),
+        ("agent", "start", "row {}, col {}".format(*header.start)),
+        ("agent", "budget", f"{header.max_steps} steps"),
         ("predictor", "name", header.predictor.name),
         ("predictor", "sha256", header.predictor.sha256 or "-"),
     ]
     facts += [("config", key, value) for key, value in header.config.model_dump(mode="json").items()
-              if key != "predictor"]  # fmt: skip
+              if key not in {"predictor", "start", "max_steps"}]  # fmt: skip
     facts += [("version", name, version) for name, version in header.versions]
     row = summarize(opened, str(log))
     facts += [

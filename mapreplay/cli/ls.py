@@ -17,9 +17,9 @@ def ls(
 ) -> None:
     """List episodes: what was run, how it ended, and the last scores."""
     rows, unreadable = choose(paths, where)
-    from mapreplay.analysis.episodes import TABLE_COLUMNS, episode_frame
+    from mapreplay.analysis.episodes import brief, episode_frame
 
     frame = episode_frame(rows)
-    emit(frame, "mapreplay.episodes/1", form, output, columns=TABLE_COLUMNS, force=force)
+    emit(frame, "mapreplay.episodes/1", form, output, text=brief(frame), force=force)
     if unreadable:
         raise typer.Exit(LOST)

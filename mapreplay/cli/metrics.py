@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -53,7 +54,7 @@ def metrics(
     rows, unreadable = choose(paths, where)
     frames, wrong = [], []
     for row in rows:
-        log = EpisodeLog(row.file)
+        log = EpisodeLog(Path(row.file))
         everywhere = np.ones(log.header.floor_plan.shape, np.bool_)
         measured: list[Measured] = list(
             recompute(
@@ -73,7 +74,7 @@ def metrics(
         return
     table = pl.concat(frames)
     shown = [*SHOWN, *extra] if len(frames) == 1 else ["file", *SHOWN, *extra]
-    emit(table, "mapreplay.metrics/1", form, output, columns=shown, force=force)
+    emit(table, "mapreplay.metrics/1", form, output, text=table.select(shown), force=force)
     if wrong:
         raise LogError(f"{wrong[0]} ({len(wrong)} values disagree)")
     if as_recorded:

@@ -6,7 +6,6 @@ import io
 import json
 import math
 import sys
-from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -41,10 +40,10 @@ def emit(
     form: Format,
     output: Path | None = None,
     *,
-    columns: Sequence[str] | None = None,
+    text: pl.DataFrame | None = None,
     force: bool = False,
 ) -> None:
-    """Print `frame`; `columns` are those that the text table shows, all by default.
+    """Print `frame`; as a text table, `text` in its place, if that is given.
 
     `schema` names the kind of result and its version, such as ``mapreplay.ls/1``, in JSON.
 
@@ -61,12 +60,10 @@ def emit(
     elif form is Format.CSV:
         data = frame.write_csv().encode()
     elif form is Format.JSON:
-        rows = [
-            {key: _json_value(value) for key, value in row.items()} for row in frame.to_dicts()
-        ]
+        rows = [{key: _json_value(value) for key, value in row.items()} for row in frame.to_dicts()]
         data = (json.dumps({"schema": schema, "rows": rows}, indent=1) + "\n").encode()
     else:
-        data = _text_table(frame.select(columns) if columns else frame, wide=output is not None)
+        data = _text_table(frame if text is None else text, wide=output is not None)
     if output is None:
         sys.stdout.buffer.write(data)
         sys.stdout.buffer.flush()
@@ -100,11 +97,19 @@ def _json_value(value: object) -> object:
 
 
 def _text_table(frame: pl.DataFrame, *, wide: bool) -> bytes:
+    """A table for 80 columns: text that is the same in every row is said once, above it."""
     from rich import box
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, header_style="bold")
+    same = [
+        name
+        for name, dtype in frame.schema.items()
+        if len(frame) > 1 and not dtype.is_numeric() and frame[name].n_unique() == 1
+    ]
+    title = ", ".join(f"{name.replace('_', ' ')} {_text_value(frame[name][0])}" for name in same)
+    frame = frame.drop(same)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, header_style="bold")
     for name, dtype in frame.schema.items():
         table.add_column(
             name.replace("_", " "),
@@ -118,8 +123,11 @@ def _text_table(frame: pl.DataFrame, *, wide: bool) -> bytes:
     console = Console(
         file=buffer, force_terminal=terminal, width=None if terminal else 200, highlight=False
     )
+    if title:
+        console.print(title)
     console.print(table)
-    return "\n".join(line.rstrip() for line in buffer.getvalue().splitlines()).encode() + b"\n"
+    lines = [line.rstrip() for line in buffer.getvalue().splitlines()]
+    return "\n".join(line for line in lines if line).encode() + b"\n"
 
 
 def _text_value(value: object) -> str:

@@ -17,10 +17,6 @@ if TYPE_CHECKING:
 
 LOST = 3
 
-Names = Annotated[str | None, typer.Option(help="A registered name.")]
-MapOption = Annotated[str | None, typer.Option(help="observed or fused (default).")]
-Share = Annotated[float | None, typer.Option(help="0 to 1.")]
-
 
 def run(
     floorplans: Annotated[
@@ -35,9 +31,11 @@ def run(
     ] = None,
     predictor: Annotated[
         str | None,
-        typer.Option(help="none, d1, d2, a plug-in's, or a .safetensors file; by default what "
-                     "suits the floor plans."),
-    ] = None,  # fmt: skip
+        typer.Option(
+            help="none, d1, d2, a plug-in's, or a .safetensors file; by default what suits the "
+            "floor plans."
+        ),
+    ] = None,
     plan_on: Annotated[
         str | None, typer.Option(help="Map to plan on: observed or fused (default).")
     ] = None,
@@ -91,6 +89,9 @@ def run(
     force: ForceOption = False,
 ) -> None:
     """Simulate episodes and record every step to MCAP."""
+    from mapreplay.planners import load_planner
+    from mapreplay.predictors import load_predictor
+
     given = {
         "floorplans": floorplans, "ids": ids, "planner": planner, "predictor": predictor,
         "plan_on": plan_on, "build": build, "delta_free": delta_free,
@@ -104,8 +105,15 @@ def run(
     tasks, lost = _plan_tasks(settings, folder, force=force)
     if not tasks:
         raise FloorPlanError(f"{settings.floorplans}: no floor plan is left to run on")
+    # Refuse an unknown or broken planner or predictor before anything runs.
+    load_planner(tasks[0].config.planner)
+    load_predictor(tasks[0].config.predictor, settings.device)
     folder = _make_folder(folder)
-    done = _watch(tasks) if view else _record(tasks, settings.jobs)
+    try:
+        done = _watch(tasks) if view else _record(tasks, settings.jobs)
+    except KeyboardInterrupt:
+        note(f"{folder}: what was being recorded stays readable as .part")
+        raise
     if done:
         _print_results(sorted(done), form)
         note(f"logs: {folder}")
@@ -161,7 +169,9 @@ def _plan_tasks(settings: RunConfig, folder: Path, *, force: bool) -> tuple[list
             continue
         for again in range(rounds):
             episode = settings.episode(source.default_predictor, settings.seed + again)
-            tasks.append(Task(episode, floor_plan, folder, settings.device, settings.profile, force))
+            tasks.append(
+                Task(episode, floor_plan, folder, settings.device, settings.profile, force)
+            )
     tasks.sort(key=lambda task: task.config.seed)
     return tasks[: settings.episodes], refused + len(selection.missing)
 
@@ -231,7 +241,7 @@ def _watch(tasks: list[Task]) -> list[Path]:
 
 
 def _print_results(paths: list[Path], form: Format) -> None:
-    from mapreplay.analysis.episodes import TABLE_COLUMNS, episode_frame, episode_row
+    from mapreplay.analysis.episodes import brief, episode_frame, episode_row
 
     frame = episode_frame([episode_row(path) for path in paths])
-    emit(frame, "mapreplay.episodes/1", form, columns=TABLE_COLUMNS)
+    emit(frame, "mapreplay.episodes/1", form, text=brief(frame))

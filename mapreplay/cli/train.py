@@ -79,7 +79,7 @@ def train(
         bfloat16=bfloat16,
     )
     source = open_source(floorplans, resolution)
-    wanted = select(source, read_ids(ids) if ids else None, None).ids
+    wanted = list(select(source, read_ids(ids) if ids else None, None).ids)
     if validate is not None:
         other = open_source(validate, resolution)
         held = _load("validation", other, list(other.ids())[:validation_plans])

@@ -89,7 +89,7 @@ def open_source(spec: str, resolution: float | None = None) -> FloorPlanSource:
         return _open(name, rest, resolution)
     path = Path(spec)
     by_ending = next((ENDINGS[end] for end in ENDINGS if spec.lower().endswith(end)), None)
-    if not exists(path):
+    if not spec or not exists(path):
         if by_ending or len(path.parts) > 1:
             raise FloorPlanError(f"{spec}: no such file or folder")
         raise UsageError(f"{spec!r}: no such file or folder, and no source; {_understood()}")

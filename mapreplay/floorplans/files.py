@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import reprlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
@@ -59,6 +60,19 @@ def read_limited(path: Path, limit: int) -> bytes:
 
 def _human_size(size: int) -> str:
     return f"{size >> 20} MiB" if size >= 1 << 20 else f"{size >> 10} KiB"
+
+
+def brief(value: object) -> str:
+    """`value` as an error shows it, in at most 60 characters.
+
+    A small file with references can hold a value that prints as gigabytes, or a number that
+    Python refuses to print.
+    """
+    try:
+        text = reprlib.repr(value)
+    except ValueError:
+        return "a huge number"
+    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def unique_ids(names: Iterable[str]) -> list[str]:

@@ -8,10 +8,8 @@ of it is free: coarser rasterizing erases most interior walls.
 from __future__ import annotations
 
 import json
-import lzma
 import math
 import re
-import reprlib
 import tarfile
 import zlib
 from collections.abc import Iterator, Sequence
@@ -25,7 +23,7 @@ import numpy.typing as npt
 
 from mapreplay.errors import FloorPlanError, UsageError
 from mapreplay.floorplan import FloorPlan
-from mapreplay.floorplans.files import existing_path, read_limited
+from mapreplay.floorplans.files import brief, existing_path, read_limited
 from mapreplay.grid import FREE, OCCUPIED, Grid, Origin
 
 PIXELS_PER_METRE: Final = 80
@@ -69,16 +67,14 @@ def parse_house(text: bytes, name: str) -> House:
         raise FloorPlanError(f"{name}: key {missing[0]!r} is missing")
     house_id = data["id"]
     if not isinstance(house_id, str) or not _HOUSE_ID.fullmatch(house_id):
-        raise FloorPlanError(
-            f"{name}: id {reprlib.repr(house_id)} is not letters, digits and . _ -"
-        )
+        raise FloorPlanError(f"{name}: id {brief(house_id)} is not letters, digits and . _ -")
     verts = data["verts"]
     if not isinstance(verts, list) or not 3 <= len(verts) <= MAX_VERTICES:
         raise FloorPlanError(f"{name}: 'verts' must be a list of 3 to {MAX_VERTICES} points")
     for vert in verts:
         if not (isinstance(vert, list) and len(vert) == 2 and all(map(_is_metre, vert))):
             raise FloorPlanError(
-                f"{name}: vertex {reprlib.repr(vert)} is not two finite numbers of metres"
+                f"{name}: vertex {brief(vert)} is not two finite numbers of metres"
             )
     vertices = np.array(verts, np.float64)
     extent = float(np.ptp(vertices, axis=0).max())
@@ -248,7 +244,7 @@ def _archive_members(path: Path, *, with_text: bool) -> Iterator[tuple[str, byte
                 yield inner.stem, stream.read() if stream else b""
     except FloorPlanError as error:
         raise FloorPlanError(f"{path}: refused, {error}") from None
-    except (tarfile.TarError, EOFError, zlib.error, lzma.LZMAError, OSError, ValueError) as error:
+    except (tarfile.TarError, EOFError, zlib.error, OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise FloorPlanError(f"{path}: not a readable tar archive ({reason})") from None
 

@@ -7,7 +7,6 @@ values that our cells have: what lies between the two thresholds is unknown in e
 from __future__ import annotations
 
 import re
-import reprlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,11 +15,10 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
 from mapreplay.errors import FloorPlanError, UsageError
 from mapreplay.floorplan import FloorPlan
-from mapreplay.floorplans.files import existing_path, read_limited, unique_ids
+from mapreplay.floorplans.files import brief, existing_path, read_limited, unique_ids
 from mapreplay.floorplans.pixels import OPAQUE, Pixels, read_pixels
 from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Grid, Origin
 
@@ -164,16 +162,13 @@ def read_map_file(path: Path) -> MapFile:
 def _parse_yaml(content: bytes, path: Path) -> Any:
     try:
         return YAML(typ="safe", pure=True).load(content.decode())
-    except (YAMLError, ValueError, RecursionError) as error:
+    except Exception as error:  # odd tags make the parser fail with more than its own errors
         reason = str(getattr(error, "problem", None) or error).splitlines() or ["no reason given"]
-        raise FloorPlanError(f"{path}: not a YAML file ({reason[0][:100]})") from None
-    except Exception as error:  # the parser lets slip what odd tags do to it
-        raise FloorPlanError(f"{path}: not a YAML file ({type(error).__name__})") from error
+        raise FloorPlanError(f"{path}: not a YAML file ({reason[0][:100]})") from error
 
 
 def _bad(path: Path, key: str, value: object, expected: str) -> FloorPlanError:
-    # reprlib: a small file with aliases can hold a value that prints as gigabytes.
-    return FloorPlanError(f"{path}: {key} is {reprlib.repr(value)}; expected {expected}")
+    return FloorPlanError(f"{path}: {key} is {brief(value)}; expected {expected}")
 
 
 def _is_number(value: object) -> bool:

@@ -38,6 +38,8 @@ _FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 _GAP: Final = 16
 _DOT: Final = 4
 _LINE: Final = 17
+_THINNEST_WALL: Final = 0.6
+"""Pixels."""
 _TEXT_SIZE: Final = 0.42
 
 
@@ -131,11 +133,14 @@ def _draw(plan: FloorPlan, mask: Mask, crop: _Crop, pixels_per_cell: float) -> P
     colours[plan.cells == FREE] = _CLOSED
     colours[plan.cells == OCCUPIED] = _SOLID
     colours[mask & (plan.cells == FREE)] = _FREE
-    colours[mask & (plan.cells == OCCUPIED)] = _WALL
+    walls = (mask & (plan.cells == OCCUPIED)).astype(np.uint8)
+    thickness = round(_THINNEST_WALL / pixels_per_cell)
+    if thickness > 1:  # else the walls of a large map would fade away
+        walls = np.asarray(cv2.dilate(walls, np.ones((thickness, thickness), np.uint8)), np.uint8)
+    colours[walls > 0] = _WALL
     cut = colours[crop.low_row : crop.high_row, crop.low_col : crop.high_col][::-1]
     height, width = (max(1, int(n * pixels_per_cell)) for n in cut.shape[:2])
-    # Whole pixels a cell first, then an average: cells of one size with soft edges, and thin
-    # walls that stay visible where a map is larger than its tile.
+    # Whole pixels a cell first, then an average: all cells look equally large.
     factor = max(1, math.ceil(pixels_per_cell))
     fine = cut.repeat(factor, axis=0).repeat(factor, axis=1)
     return np.asarray(cv2.resize(fine, (width, height), interpolation=cv2.INTER_AREA), np.uint8)

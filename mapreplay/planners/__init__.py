@@ -43,11 +43,12 @@ def load_planner(name: str) -> Planner:
     Raises:
         PluginError: there is none, or it is broken.
     """
-    return cast(Planner, plugins.load(plugins.Group.PLANNERS, name)())
+    return cast("Planner", plugins.load(plugins.Group.PLANNERS, name)())
 
 
 def best(utility: Float64s, costs: Float64s) -> int:
     """Index of the greatest utility; of several the one of least cost, then the first, which
-    is the one of least row, then column."""
+    is the one of least row, then column.
+    """
     ties = np.flatnonzero(utility == utility.max())
     return int(ties[np.argmin(costs[ties])])

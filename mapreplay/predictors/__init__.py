@@ -40,7 +40,7 @@ class NoPredictor:
         """See `Predictor`."""
 
 
-def no_predictor(device: str) -> NoPredictor:
+def no_predictor(device: str) -> NoPredictor:  # noqa: ARG001 (what the entry point is given)
     """The predictor ``none``."""
     return NoPredictor()
 
@@ -62,4 +62,4 @@ def load_predictor(name: str, device: str = "cpu") -> Predictor:
         if name in plugins.available(plugins.Group.PREDICTORS):
             raise
         raise PluginError(f"{error}, or a .safetensors file") from None
-    return cast(Predictor, factory(device))
+    return cast("Predictor", factory(device))

@@ -51,10 +51,13 @@ def load_network(path: Path, device: str, name: str | None = None) -> TrainedPre
         reason = " ".join(str(error).split())[:120]
         raise WeightsError(f"{path}: not the weights of this network ({reason})") from None
     try:
-        model = model.eval().to(device, memory_format=torch.channels_last)
+        # torch's own annotations do not know memory_format
+        model = model.eval().to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
     except (RuntimeError, AssertionError) as error:
-        raise UsageError(f"device {device!r} cannot be used ({str(error).splitlines()[0]})") from None
-    identity = PredictorIdentity(name or str(path), file_sha256(path))
+        raise UsageError(
+            f"device {device!r} cannot be used ({str(error).splitlines()[0]})"
+        ) from None
+    identity = PredictorIdentity(name or path.name, file_sha256(path))
     return TrainedPredictor(model, identity, device)
 
 

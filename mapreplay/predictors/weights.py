@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -51,14 +50,12 @@ def file_sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def save_tensors(
-    path: Path, tensors: Mapping[str, torch.Tensor], notes: Mapping[str, str]
-) -> None:
+def save_tensors(path: Path, tensors: Mapping[str, torch.Tensor], notes: Mapping[str, str]) -> None:
     """Write a safetensors file, whole or not at all."""
     part = path.with_name(path.name + ".part")
     flat = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
     save_file(flat, part, metadata=dict(notes))
-    os.replace(part, path)
+    part.replace(path)
 
 
 def load_tensors(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
@@ -72,7 +69,8 @@ def load_tensors(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
         if size > MAX_BYTES:
             raise WeightsError(f"{path}: {size >> 20} MiB; at most {MAX_BYTES >> 20} are allowed")
         with safe_open(path, framework="pt") as file:
-            return {name: file.get_tensor(name) for name in file.keys()}, file.metadata() or {}
+            names = file.keys()
+            return {name: file.get_tensor(name) for name in names}, file.metadata() or {}
     except OSError as error:
         raise WeightsError(f"{path}: cannot be read ({error.strerror or error})") from None
     except (SafetensorError, ValueError) as error:

@@ -1,0 +1,1 @@
+"""Training the map predictor: simulated observations, batches, the loop."""

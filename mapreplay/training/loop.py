@@ -14,10 +14,10 @@ import numpy as np
 import torch
 from torch.nn import functional
 
+from mapreplay import scores
 from mapreplay.errors import WeightsError
 from mapreplay.predictors.network import MapPredictor, one_hot
 from mapreplay.predictors.weights import ModelCard, file_sha256, load_tensors, save_tensors
-from mapreplay import scores
 from mapreplay.training.dataset import Batch, Epoch, TrainingPlan, make_batch, padded_shape
 
 VALIDATION_SEED: Final = 2**63
@@ -84,7 +84,10 @@ class Trainer:
         self.config = config
         self.device = torch.device(device)
         self.checkpoint = checkpoint
-        self.model = MapPredictor().to(self.device, memory_format=torch.channels_last)
+        # torch's own annotations do not know memory_format
+        self.model: MapPredictor = MapPredictor().to(  # type: ignore[call-overload]
+            self.device, memory_format=torch.channels_last
+        )
         self.optimizer = torch.optim.Adam(self.model.parameters(), lr=config.learning_rate)
         self.validation = _validation_batches(validation, config)
         self.state = _State()
@@ -117,7 +120,10 @@ class Trainer:
                 state.seconds += time.monotonic() - began
                 done = state.samples >= config.samples
                 yield state.samples
-                if done or before // config.validate_every != state.samples // config.validate_every:
+                if (
+                    done
+                    or before // config.validate_every != state.samples // config.validate_every
+                ):
                     yield self._curve_point()
                     self.save()
                 if done:
@@ -135,16 +141,14 @@ class Trainer:
             )
         loss = self._loss(batch)
         self.optimizer.zero_grad(set_to_none=True)
-        loss.backward()
+        torch.autograd.backward(loss)
         torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
         self.optimizer.step()
         self.state.loss_sum += loss.item()
         self.state.loss_batches += 1
 
     def _logits(self, batch: Batch) -> torch.Tensor:
-        with torch.autocast(
-            self.device.type, dtype=torch.bfloat16, enabled=self.config.bfloat16
-        ):
+        with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=self.config.bfloat16):
             logits: torch.Tensor = self.model(one_hot(batch.observed).to(self.device))
         return logits[:, 0].float()
 

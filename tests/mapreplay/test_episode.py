@@ -1,6 +1,7 @@
 """Whole episodes: configurations, outcomes, the fail-safe, and what can never happen."""
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -57,7 +58,6 @@ def wall_at(picture: str, probability: float, *cells: tuple[int, int]) -> FixedP
     return FixedPredictor(p)
 
 
-
 def test_observations_alone_map_everything() -> None:
     steps = explore(plan(TWO_ROOMS), plan_on="observed", build="observed")
     last = steps[-1]
@@ -73,7 +73,7 @@ def test_the_agent_starts_at_the_top_left_and_moves_by_one_cell_a_step() -> None
     steps = explore(plan(TWO_ROOMS))
     assert steps[0].agent == (5, 1)
     assert explore(plan(TWO_ROOMS), start=(1, 9))[0].agent == (1, 9)
-    for before, after in zip(steps, steps[1:], strict=False):
+    for before, after in pairwise(steps):
         assert np.abs(np.subtract(after.agent, before.agent)).max() == 1
         assert before.decision is not None
         assert after.agent == before.decision.next_cell
@@ -82,7 +82,7 @@ def test_the_agent_starts_at_the_top_left_and_moves_by_one_cell_a_step() -> None
 def test_path_length_counts_diagonals_as_sqrt_two_and_is_in_metres() -> None:
     steps = explore(plan(TWO_ROOMS, resolution=0.5))
     total = 0.0
-    for before, after in zip(steps, steps[1:], strict=False):
+    for before, after in pairwise(steps):
         total += 0.5 * float(np.hypot(*np.subtract(after.agent, before.agent)))
         assert after.metrics.path_length == pytest.approx(total)
 
@@ -147,9 +147,7 @@ def test_the_fail_safe_leads_out_and_says_so() -> None:
 
 def test_no_other_configuration_can_be_sealed_in() -> None:
     for plan_on, build in [("observed", "fused"), ("fused", "observed"), ("observed", "observed")]:
-        steps = explore(
-            plan(RING), walls_two_cells_away(), reach=1, plan_on=plan_on, build=build
-        )
+        steps = explore(plan(RING), walls_two_cells_away(), reach=1, plan_on=plan_on, build=build)
         assert steps[-1].outcome is Outcome.MAPPED
 
 
@@ -191,9 +189,7 @@ def test_planning_on_observations_falls_back_to_their_own_frontier() -> None:
     corridor = "#" * 40 + "\n#" + "." * 38 + "#\n" + "#" * 40
     p = np.where(draw(corridor) == OCCUPIED, 1, 0).astype(np.float32)
     p[:, 30:] = 0.5
-    steps = explore(
-        plan(corridor), FixedPredictor(p), plan_on="observed", build="fused", reach=3
-    )
+    steps = explore(plan(corridor), FixedPredictor(p), plan_on="observed", build="fused", reach=3)
     assert len(steps[0].frontier) > 0
     assert (steps[0].observed[tuple(steps[0].frontier.T)] == FREE).all()
     assert steps[-1].outcome is Outcome.MAPPED
@@ -238,7 +234,7 @@ class Overeager:
 def test_a_predictor_or_planner_that_answers_nonsense_is_named() -> None:
     with pytest.raises(MapreplayError, match=r"predictor 'noisy' returned shape \(2, 2\)"):
         explore(plan(TWO_ROOMS), WrongShape())
-    with pytest.raises(MapreplayError, match="predictor 'constant': P.occupied. must be in"):
+    with pytest.raises(MapreplayError, match=r"predictor 'constant': P.occupied. must be in"):
         explore(plan(TWO_ROOMS), ConstantPredictor(float("nan")))
     episode = prepare_episode(
         EpisodeConfig(planner="mine"), plan(TWO_ROOMS), Overeager(), NoPredictor()
@@ -254,9 +250,7 @@ PLANNERS: list[Callable[[], Planner]] = [NearestFrontier, CostUtility, RandomExp
 def small_plans(draw_: st.DrawFn) -> FloorPlan:
     """Caves of free and occupied cells, with a closed border."""
     height, width = draw_(st.integers(8, 16)), draw_(st.integers(8, 16))
-    walls = draw_(
-        st.lists(st.integers(0, 3), min_size=height * width, max_size=height * width)
-    )
+    walls = draw_(st.lists(st.integers(0, 3), min_size=height * width, max_size=height * width))
     cells = np.where(np.reshape(walls, (height, width)) == 0, 100, 0).astype(np.int8)
     cells[[0, -1]] = cells[:, [0, -1]] = 100
     cells[1, 1] = 0
@@ -294,7 +288,7 @@ def test_what_holds_in_every_episode(
         assert (step.fused[seen] == step.observed[seen]).all()
         if step.decision is not None:
             assert step.decision.target in {(r, c) for r, c in step.frontier.tolist()}
-    for before, after in zip(steps, steps[1:], strict=False):
+    for before, after in pairwise(steps):
         known = before.observed != UNKNOWN
         assert (after.observed[known] == before.observed[known]).all()
         assert after.metrics.coverage_observed >= before.metrics.coverage_observed

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from drawing import draw, find, plan
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 
+from drawing import draw, find, plan
 from mapreplay.errors import FloorPlanError
 from mapreplay.floorplan import MAX_SIDE, FloorPlan, explorable
 from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid, Origin

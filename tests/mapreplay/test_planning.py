@@ -90,11 +90,14 @@ def test_the_frontier_lies_on_one_map_and_looks_at_the_other() -> None:
 
 
 def test_a_complete_map_has_no_frontier() -> None:
-    assert cells_from("""
+    assert (
+        cells_from("""
         ###
         #A#
         ###
-    """) == set()
+    """)
+        == set()
+    )
 
 
 def test_the_frontier_is_in_row_major_order() -> None:
@@ -177,9 +180,7 @@ def test_two_queues_find_what_a_heap_finds(values: list[int]) -> None:
         assert (grid[path[:, 0], path[:, 1]] == FREE).all()
 
 
-def situation(
-    picture: str, observed: Grid | None = None, p_wall: float | None = None
-) -> Situation:
+def situation(picture: str, observed: Grid | None = None, p_wall: float | None = None) -> Situation:
     plan_map = draw(picture)
     agent = Cell(*find(picture, "A"))
     paths = shortest_paths(plan_map, agent)

@@ -70,7 +70,7 @@ def test_rooms_are_large_enough_and_doors_of_one_width_join_them_as_a_tree(
 ) -> None:
     free = generate(seed, style).cells == FREE
     # What a square of the minimal room's size cannot cover is a door: walls are one cell thick.
-    rooms = ndimage.binary_opening(free, np.ones((style.min_room, style.min_room)))
+    rooms = ndimage.binary_opening(free, np.ones((style.min_room, style.min_room), bool))
     doors, door_count = ndimage.label(free & ~rooms)
     _, room_count = ndimage.label(rooms)
     assert door_count == room_count - 1

@@ -66,9 +66,7 @@ def test_without_its_last_step_a_log_stays_a_part(blurred: Recorded, tmp_path: P
     assert len(EpisodeLog(writer.part)) == 25
 
 
-def test_after_an_exception_all_written_steps_are_there(
-    blurred: Recorded, tmp_path: Path
-) -> None:
+def test_after_an_exception_all_written_steps_are_there(blurred: Recorded, tmp_path: Path) -> None:
     def interrupted() -> EpisodeWriter:
         with EpisodeWriter(tmp_path / "a.mcap", blurred.header) as writer:
             for step in blurred.steps[:33]:
@@ -204,22 +202,22 @@ class FullDisk:
 def test_a_full_disk_is_a_clear_error(
     blurred: Recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    room = blurred.path.stat().st_size // 2
+    with EpisodeWriter(tmp_path / "short.mcap", blurred.header) as writer:
+        for step in blurred.steps[:20]:
+            writer.write(step)
+    room = writer.part.stat().st_size + 100
     opened = Path.open
     monkeypatch.setattr(Path, "open", lambda self, mode: FullDisk(opened(self, mode), room))
-    with (
-        pytest.raises(LogError, match=r"a\.mcap\.part: cannot be written \(No space left"),
-        EpisodeWriter(tmp_path / "a.mcap", blurred.header) as writer,
-    ):
-        for step in blurred.steps:
-            writer.write(step)
+    writer = EpisodeWriter(tmp_path / "a.mcap", blurred.header)
+    for step in blurred.steps[:39]:
+        writer.write(step)
+    with pytest.raises(LogError, match=r"a\.mcap\.part: cannot be written \(No space left"):
+        writer.write(blurred.steps[39])
     monkeypatch.undo()
     assert len(EpisodeLog(tmp_path / "a.mcap.part")) == 20
 
 
-def test_chunks_stay_small_on_large_maps(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_chunks_stay_small_on_large_maps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A chunk ends with the step that fills it, even before 20 steps."""
     monkeypatch.setattr("mapreplay.recorders.writer.CHUNK_BYTES", 3000)
     recorded = record(tmp_path, three_rooms(max_steps=30))

@@ -1,0 +1,81 @@
+"""Rows of episodes: conditions on them, and what a prediction was worth."""
+
+import dataclasses
+import math
+
+import polars as pl
+import pytest
+
+from mapreplay.analysis.episodes import Condition, EpisodeRow, brief, episode_frame
+from mapreplay.analysis.reduction import mean_reduction, pair_episodes
+from mapreplay.errors import UsageError
+
+ROW = EpisodeRow(
+    file="a.mcap", floor_plan="p1", planner="nearest", predictor="none", plan_on="observed",
+    build="observed", fail_safe=False, seed=1, start_row=5, start_col=1, max_steps=400,
+    outcome="mapped", steps=100, mapping_time=100, correct_time=90, path_length=25.0,
+    coverage=0.98, correct=0.98, f1=0.99, fail_safe_steps=0,
+)  # fmt: skip
+
+
+def row(**changes: object) -> EpisodeRow:
+    return dataclasses.replace(ROW, **changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("text", "holds"),
+    [
+        ("outcome=mapped", True), ("outcome!=mapped", False), ("steps>99", True),
+        ("steps>=100", True), ("steps<100", False), ("steps <= 100", True),
+        ("fail_safe=false", True), ("fail_safe=true", False), ("f1>.95", True), ("seed=1", True),
+        ("planner=random", False),
+    ],
+)  # fmt: skip
+def test_conditions(text: str, holds: bool) -> None:
+    assert Condition.parse(text).holds(ROW) is holds
+
+
+def test_what_is_not_there_satisfies_only_unequal() -> None:
+    assert not Condition.parse("mapping_time<1000").holds(row(mapping_time=None))
+    assert Condition.parse("mapping_time!=3").holds(row(mapping_time=None))
+    assert not Condition.parse("f1>0").holds(row(f1=math.nan))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("outcome", "expected column=value"), ("colour=red", "no column 'colour'; there are file")],
+)
+def test_bad_conditions_are_refused(text: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        Condition.parse(text)
+
+
+def test_a_number_is_needed_where_a_number_is_compared() -> None:
+    with pytest.raises(UsageError, match="'many' is no number"):
+        Condition.parse("steps>many").holds(ROW)
+
+
+def test_the_frame_has_its_columns_even_when_empty() -> None:
+    empty, full = episode_frame([]), episode_frame([ROW, row(mapping_time=None)])
+    assert empty.schema == full.schema
+    assert full["mapping_time"].to_list() == [100, None]
+    assert full.schema["fail_safe"] == pl.Boolean
+    assert brief(full)["maps"].to_list() == ["observed/observed"] * 2
+
+
+def test_reduction_is_one_minus_the_ratio_of_times() -> None:
+    pairs = pair_episodes([row()], [row(planner="cost-utility", mapping_time=40)])
+    assert pairs[0].reduction == pytest.approx(0.6)
+
+
+def test_a_target_that_was_not_reached_took_the_budget() -> None:
+    (pair,) = pair_episodes([row()], [row(mapping_time=None, outcome="sealed_in", steps=7)])
+    assert pair.reduction == 1 - 400 / 100
+
+
+def test_pairs_are_by_floor_plan_start_and_seed() -> None:
+    others = [row(floor_plan="p2"), row(seed=2), row(start_col=2)]
+    assert pair_episodes([row()], others) == []
+    both = pair_episodes([row(), row(floor_plan="p2")], [*others, row(mapping_time=50)])
+    assert [p.reference.floor_plan for p in both] == ["p1", "p2"]
+    assert mean_reduction(both).mean == pytest.approx((0.5 + 0.0) / 2)

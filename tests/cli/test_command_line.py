@@ -1,0 +1,320 @@
+"""Every verb, its exit codes, and that each error is one line."""
+
+import csv
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from commands import Run
+
+
+def test_help_names_every_verb_and_loads_nothing_slow() -> None:
+    code = (
+        "import sys; sys.argv = ['mapreplay', '--help']\n"
+        "from mapreplay.cli import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "slow = {'torch', 'rerun', 'polars', 'numba', 'numpy', 'pydantic'} & set(sys.modules)\n"
+        "assert not slow, slow\n"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 0, result.stderr
+    for verb in ("run", "view", "ls", "info", "metrics", "export", "floorplans", "train", "bench"):
+        assert f"\n  {verb} " in result.stdout
+
+
+def test_help_is_quick() -> None:
+    command = [sys.executable, "-m", "mapreplay", "--help"]
+    subprocess.run(command, check=True, capture_output=True)
+    usage = os.times()
+    for _ in range(3):
+        subprocess.run(command, check=True, capture_output=True)
+    after = os.times()
+    spent = after.children_user + after.children_system - usage.children_user
+    assert (spent - usage.children_system) / 3 < 0.3  # CPU seconds: the machine may be busy
+
+
+def test_the_version_is_printed(cli: Run) -> None:
+    result = cli("--version")
+    assert result.code == 0
+    assert result.out.startswith("mapreplay 0.")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "line"),
+    [
+        ("fly", 2, "No such command 'fly'."),
+        ("run --planner nearby", 2, "unknown planner 'nearby'; known: cost-utility, nearest, "),
+        ("run --predictor d7", 2, "unknown predictor 'd7'; known: d1, d2, none, or a .safetensors"),
+        ("run --coverage 1.5", 2, "run: coverage = 1.5: should be less than or equal to 1"),
+        ("run --plan-on truth", 2, "run: plan_on = 'truth': should be 'observed' or 'fused'"),
+        ("run --start here", 2, "--start here: expected ROW,COL"),
+        ("run --start 0,0", 1, "no floor plan is left to run on"),
+        ("run --floorplans procedural:9-1", 2, "seeds go from 0 to"),
+        ("run --floorplans nowhere.tar.gz", 1, "nowhere.tar.gz"),
+        ("run --config nowhere.toml", 2, "nowhere.toml: cannot be read"),
+        ("run --jobs 0", 2, "jobs = 0: should be greater than or equal to 1"),
+        ("ls nowhere", 1, "nowhere"),
+        ("info nowhere.mcap", 1, "nowhere.mcap"),
+        ("view nowhere.mcap", 1, "nowhere.mcap"),
+        ("export nowhere.mcap", 2, "say what to write"),
+        ("train --floorplans procedural:0-1 --out x.pt", 2, "should end in .safetensors"),
+        ("metrics nowhere.mcap --region some", 2, "should be explorable or all"),
+    ],
+)
+def test_an_error_is_one_line_and_an_exit_code(
+    cli: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path,
+    arguments: str, code: int, line: str,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    result = cli(*arguments.split())
+    assert result.code == code
+    assert result.out == ""
+    last = result.err.strip().splitlines()[-1]
+    assert last.startswith("mapreplay: ")
+    assert line in last
+    assert "Traceback" not in result.err
+
+
+def test_run_writes_logs_and_says_what_to_type_next(cli: Run, tmp_path: Path) -> None:
+    result = cli(
+        "run", "--planner", "random", "--plan-on", "observed", "--build", "observed",
+        "--floorplans", "procedural:7", "--episodes", 2, "--max-steps", 5, "--out", tmp_path / "o",
+    )  # fmt: skip
+    assert result.code == 0, result.err
+    names = sorted(path.name for path in (tmp_path / "o").iterdir())
+    assert names == [
+        "procedural-7__random__observed-observed__s1.mcap",
+        "procedural-7__random__observed-observed__s2.mcap",
+    ]
+    assert "procedural-7" in result.out
+    assert "next: mapreplay view " in result.err
+
+
+def test_run_never_overwrites_without_force(cli: Run, tmp_path: Path) -> None:
+    arguments = ["run", "--planner", "nearest", "--predictor", "none", "--floorplans",
+                 "procedural:7", "--max-steps", "3", "--out", str(tmp_path)]  # fmt: skip
+    assert cli(*arguments).code == 0
+    (log,) = tmp_path.iterdir()
+    before = log.read_bytes()
+    again = cli(*arguments)
+    assert again.code == 1
+    assert "exists" in again.err
+    assert log.read_bytes() == before
+    assert cli(*arguments, "--force").code == 0
+    assert log.read_bytes() == before  # and the same run writes the same bytes
+
+
+def test_the_number_of_jobs_changes_nothing(cli: Run, tmp_path: Path) -> None:
+    for jobs in (1, 2):
+        result = cli(
+            "run", "--planner", "random", "--predictor", "none", "--floorplans", "procedural:7-9",
+            "--max-steps", 12, "--jobs", jobs, "--out", tmp_path / str(jobs),
+        )  # fmt: skip
+        assert result.code == 0, result.err
+    for log in (tmp_path / "1").iterdir():
+        assert log.read_bytes() == (tmp_path / "2" / log.name).read_bytes()
+
+
+def test_a_configuration_file_gives_defaults_that_options_override(
+    cli: Run, tmp_path: Path
+) -> None:
+    config = tmp_path / "run.toml"
+    config.write_text(
+        'planner = "nearest"\npredictor = "none"\nmax_steps = 4\nfloorplans = "procedural:3"\n'
+    )
+    result = cli(
+        "run", "--config", config, "--max-steps", 2, "--format", "json", "--out", tmp_path / "o"
+    )
+    (row,) = json.loads(result.out)["rows"]
+    assert (row["planner"], row["steps"], row["outcome"]) == ("nearest", 2, "out_of_steps")
+    config.write_text("steps = 3\n")
+    result = cli("run", "--config", config)
+    assert (result.code, result.err) == (2, f"mapreplay: {config}: unknown key 'steps'\n")
+
+
+def test_ls_lists_and_filters_in_every_format(cli: Run, logs: Path, tmp_path: Path) -> None:
+    listed = json.loads(cli("ls", logs, "--format", "json").out)
+    assert listed["schema"] == "mapreplay.episodes/1"
+    assert [row["floor_plan"] for row in listed["rows"]] == [
+        "procedural-7", "procedural-8", "procedural-9",
+    ]  # fmt: skip
+    one = cli("ls", logs, "--where", "floor_plan=procedural-8", "--format", "csv").out
+    assert [row["steps"] for row in csv.DictReader(io.StringIO(one))] == ["30"]
+    assert cli("ls", logs, "--where", "steps>30", "--format", "csv").out.count("\n") == 1
+    out = tmp_path / "x.parquet"
+    assert cli("ls", f"{logs}/*.mcap", "--format", "parquet", "-o", out).code == 0
+    assert pl.read_parquet(out).height == 3
+    refused = cli("ls", logs, "--where", "colour=red")
+    assert (refused.code, refused.err.count("\n")) == (2, 1)
+    assert "no column 'colour'" in refused.err
+
+
+def test_ls_fits_a_terminal_of_80_columns(
+    cli: Run, logs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = cli("ls", logs)
+    assert max(map(len, result.out.splitlines())) <= 80
+
+
+def test_an_unreadable_log_is_named_and_the_rest_is_listed(
+    cli: Run, logs: Path, tmp_path: Path
+) -> None:
+    good = next(logs.iterdir())
+    (tmp_path / "good.mcap").write_bytes(good.read_bytes())
+    (tmp_path / "bad.mcap").write_bytes(b"not a log at all")
+    result = cli("ls", tmp_path, "--format", "csv")
+    assert result.code == 3
+    assert result.out.count("\n") == 2
+    assert "bad.mcap" in result.err
+
+
+def test_info_tells_everything_about_one_log(cli: Run, logs: Path) -> None:
+    log = sorted(logs.iterdir())[0]
+    rows = json.loads(cli("info", log, "--format", "json").out)["rows"]
+    facts = {(row["of"], row["what"]): row["value"] for row in rows}
+    assert facts["end", "outcome"] == "out_of_steps"
+    assert facts["floor plan", "cells"] == "64 x 64"
+    assert facts["config", "planner"] == "nearest"
+    assert facts["event", "step 30"] == "outcome: out_of_steps after 30 steps"
+
+
+def test_metrics_agree_with_the_recording_and_take_options(cli: Run, logs: Path) -> None:
+    log = sorted(logs.iterdir())[0]
+    result = cli("metrics", log, "--format", "csv")
+    assert result.code == 0, result.err
+    assert "31 steps agree with what was recorded, bit for bit" in result.err
+    rows = list(csv.DictReader(io.StringIO(result.out)))
+    assert [int(row["step"]) for row in rows] == list(range(31))
+    strict = cli("metrics", log, "--format", "csv", "--unknown-as", "occupied", "--metric",
+                 "false-walls").out  # fmt: skip
+    last = list(csv.DictReader(io.StringIO(strict)))[-1]
+    assert float(last["recall"]) == 1.0
+    assert float(last["precision"]) < 1.0
+    assert float(last["false-walls"]) == 0.0
+
+
+def test_export_writes_arrays_and_pictures(cli: Run, logs: Path, tmp_path: Path) -> None:
+    log = sorted(logs.iterdir())[0]
+    npz, png = tmp_path / "a.npz", tmp_path / "maps"
+    result = cli("export", log, "--npz", npz, "--png", png, "--step", 0, "--step", -1)
+    assert result.code == 0, result.err
+    with np.load(npz) as arrays:
+        assert arrays["observed"].shape == (31, 64, 64)
+    assert list(png.glob("*.png"))
+    assert cli("export", log, "--npz", npz).code == 1  # it is there
+    assert cli("export", log, "--png", tmp_path / "b", "--step", 99).code == 2
+
+
+def test_view_saves_a_recording(cli: Run, logs: Path, tmp_path: Path) -> None:
+    log = sorted(logs.iterdir())[0]
+    rrd = tmp_path / "x.rrd"
+    result = cli("view", log, "--save", rrd)
+    assert result.code == 0, result.err
+    assert rrd.stat().st_size > 10_000
+
+
+def test_view_without_a_display_names_what_works(
+    cli: Run, logs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if sys.platform != "linux":
+        pytest.skip("displays are looked for in the environment on Linux only")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    result = cli("view", sorted(logs.iterdir())[0])
+    assert result.code == 2
+    assert result.err.count("\n") == 1
+    assert "--web" in result.err
+    assert "--save" in result.err
+
+
+def test_floorplans_describes_and_previews(cli: Run, tmp_path: Path) -> None:
+    sheet = tmp_path / "sheet.png"
+    result = cli("floorplans", "procedural:1-3", "--preview", sheet, "--format", "json")
+    rows = json.loads(result.out)["rows"]
+    assert [row["id"] for row in rows] == ["procedural-1", "procedural-2", "procedural-3"]
+    assert {row["height"] for row in rows} == {64}
+    assert sheet.read_bytes().startswith(b"\x89PNG")
+
+
+def test_floorplans_tells_how_many_more_there_are(cli: Run) -> None:
+    result = cli("floorplans", "procedural:0-99", "--limit", 2, "--format", "csv")
+    assert result.out.count("\n") == 3
+    assert "2 of 100 plans" in result.err
+
+
+def test_bench_sim_prints_a_rate(cli: Run) -> None:
+    result = cli("bench", "sim", "--floorplans", "procedural:1-2")
+    assert result.code == 0
+    assert " steps/s, median of 2 episodes" in result.out
+
+
+def test_train_makes_weights_that_run_can_use(cli: Run, tmp_path: Path) -> None:
+    out = tmp_path / "tiny.safetensors"
+    arguments = ["train", "--floorplans", "procedural:0-7", "--validate", "procedural:50000-50001",
+                 "--samples", "40", "--batch", "8", "--out", str(out)]  # fmt: skip
+    result = cli(*arguments)
+    assert result.code == 0, result.err
+    card = json.loads(out.with_suffix(".json").read_text())
+    assert card["samples"] == 40
+    assert card["trained_on"] == "procedural:0-7"
+    assert cli(*arguments).code == 2  # it is there
+    ran = cli("run", "--predictor", out, "--max-steps", 2, "--out", tmp_path / "o")
+    assert ran.code == 0, ran.err
+
+
+def test_ctrl_c_leaves_readable_logs_and_exit_code_130(cli: Run, tmp_path: Path) -> None:
+    for jobs in ("1", "2"):
+        folder = tmp_path / jobs
+        process = subprocess.Popen(
+            [sys.executable, "-m", "mapreplay", "run", "--planner", "nearest", "--plan-on",
+             "observed", "--build", "observed", "--floorplans", "procedural:0-40", "--jobs", jobs,
+             "--coverage", "1", "--out", str(folder)],
+            stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True,
+        )  # fmt: skip
+        deadline = time.monotonic() + 60
+        while not list(folder.glob("*.part")) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        time.sleep(0.3)
+        os.killpg(process.pid, signal.SIGINT)
+        _, err = process.communicate(timeout=30)
+        assert process.returncode == 130, err
+        assert err.strip().splitlines()[-1] == "mapreplay: interrupted"
+        assert "Traceback" not in err
+        listed = cli("ls", folder, "--format", "csv")
+        assert listed.code in (0, 3)
+        assert listed.out.count("\n") >= 1
+
+
+def test_a_dead_worker_costs_its_episode_only(cli: Run, tmp_path: Path) -> None:
+    psutil = pytest.importorskip("psutil")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "mapreplay", "run", "--planner", "nearest", "--plan-on",
+         "observed", "--build", "observed", "--floorplans", "procedural:0-7", "--jobs", "2",
+         "--out", str(tmp_path)],
+        stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    deadline = time.monotonic() + 60
+    while not list(tmp_path.glob("*.part")) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    workers = [
+        child
+        for child in psutil.Process(process.pid).children()
+        if "resource_tracker" not in " ".join(child.cmdline())
+    ]
+    workers[0].kill()
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 1
+    assert "its worker process died (exit code -9)" in err
+    assert len(list(tmp_path.glob("*.mcap"))) == 7

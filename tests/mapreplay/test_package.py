@@ -1,0 +1,47 @@
+"""The package as a whole: its face, and the direction in which its parts depend."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import mapreplay
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_every_public_name_is_there() -> None:
+    assert mapreplay.__all__ == sorted(mapreplay.__all__)
+    for name in mapreplay.__all__:
+        assert getattr(mapreplay, name) is not None
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        mapreplay.nothing  # noqa: B018
+
+
+def imports(path: Path) -> set[str]:
+    """Names of the modules that a file imports, anywhere in it."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
+
+
+UPWARDS = {
+    "mapreplay": ("mapreplay.recorders", "mapreplay.analysis", "mapreplay.cli", "rerun", "mcap"),
+    "recorders": ("mapreplay.analysis", "mapreplay.cli"),
+    "analysis": ("mapreplay.cli",),
+}
+
+
+@pytest.mark.parametrize("folder", UPWARDS)
+def test_arrows_point_one_way(folder: str) -> None:
+    # The command line sits on top of all, and the face of the package only re-exports.
+    above = {ROOT / "mapreplay/__init__.py", ROOT / "mapreplay/__main__.py"}
+    files = [p for p in (ROOT / folder).rglob("*.py") if "cli" not in p.parts and p not in above]
+    assert len(files) > 5
+    for path in files:
+        wrong = [name for name in imports(path) if name.startswith(UPWARDS[folder])]
+        assert not wrong, f"{path} imports {wrong}"

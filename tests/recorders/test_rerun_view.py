@@ -1,0 +1,585 @@
+from __future__ import annotations
+
+import subprocess
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import psutil
+import pytest
+import rerun as rr
+import rerun.blueprint as rrb
+from hypothesis import given
+from hypothesis import strategies as st
+from rerun.chunk import RrdReader
+
+from drawing import draw, plan
+from fakes import NoisyPredictor
+from mapreplay.config import EpisodeConfig
+from mapreplay.episode import Episode, prepare_episode, run_episode
+from mapreplay.errors import LogError, UsageError
+from mapreplay.floorplan import explorable
+from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid
+from mapreplay.recorders import rerun_columns, rerun_view
+from mapreplay.recorders.rerun_columns import error_classes, ray_strips
+from mapreplay.recorders.rerun_layout import (
+    AGENT_COLOUR,
+    CELL_COLOURS,
+    FRONTIER_COLOUR,
+    CellClass,
+)
+from mapreplay.recorders.rerun_view import LiveView, WebServer, save_rrd, send_episode, serve_web
+from mapreplay.step import Step
+
+HOUSE = """
+    #######################
+    #.......#......#......#
+    #.......#......#......#
+    #..............#......#
+    #.......#.............#
+    ####.####......#......#
+    #.......########..#####
+    #.......#.............#
+    #.......#....##.......#
+    #............##...#####
+    #.......#.........#?..#
+    #######################
+"""
+
+Recorded = dict[str, dict[int, Any]]
+"""Of each "path:component" the value logged at each step; at -1 what is static."""
+
+
+def prepare(**config: Any) -> Episode:
+    values = {"planner": "nearest", "plan_on": "observed", "coverage": 1.0, "max_steps": 30}
+    # Thresholds as loose as these let the predictor fill the fused map with mistakes.
+    loose = {"delta_free": 0.4, "delta_occupied": 0.4}
+    return prepare_episode(
+        EpisodeConfig(**(values | loose | config)), plan(HOUSE), predictor=NoisyPredictor()
+    )
+
+
+@pytest.fixture(scope="module")
+def episode() -> Episode:
+    return prepare()
+
+
+@pytest.fixture(scope="module")
+def steps(episode: Episode) -> list[Step]:
+    return list(run_episode(episode))
+
+
+@pytest.fixture(scope="module")
+def saved(episode: Episode, steps: list[Step], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("rrd") / "episode.rrd"
+    save_rrd(path, episode.header, steps)
+    return path
+
+
+def read(path: Path) -> Recorded:
+    recorded: Recorded = {}
+    for chunk in RrdReader(path).stream():
+        batch = chunk.to_record_batch()
+        indices = [-1] * len(batch) if chunk.is_static else batch["step"].to_pylist()
+        for name in batch.schema.names:
+            if ":" in name and not name.startswith("RecordingInfo"):
+                column = recorded.setdefault(f"{chunk.entity_path}:{name}", {})
+                column.update(zip(indices, batch[name].to_pylist(), strict=True))
+    return recorded
+
+
+def pictures(recorded: Recorded, name: str, image: str, shape: tuple[int, int]) -> dict[int, Any]:
+    """Each step's picture, row 0 on top."""
+    column = recorded[f"/maps/{name}:{image}:buffer"]
+    return {k: np.array(value, np.uint8).reshape(shape) for k, value in column.items()}
+
+
+def class_of(cell: int) -> CellClass:
+    return {
+        UNKNOWN: CellClass.UNKNOWN,
+        FREE: CellClass.FREE,
+        OCCUPIED: CellClass.OCCUPIED,
+    }[cell]
+
+
+# --- What is sent, read back from the file -------------------------------------------------
+
+
+def test_every_cell_of_every_step_is_sent_with_row_0_at_the_bottom(
+    saved: Path, episode: Episode, steps: list[Step]
+) -> None:
+    height, width = episode.header.floor_plan.shape
+    recorded = read(saved)
+    observed = pictures(recorded, "observed", "SegmentationImage", (height, width))
+    fused = pictures(recorded, "fused", "SegmentationImage", (height, width))
+    predicted = pictures(recorded, "predicted", "DepthImage", (height, width))
+    truth = pictures(recorded, "truth", "SegmentationImage", (height, width))
+    assert list(truth) == [-1]
+    assert list(observed) == list(fused) == list(predicted) == [step.index for step in steps]
+    for step in steps:
+        assert step.p_wall is not None
+        for row in range(height):
+            for col in range(width):
+                at = (height - 1 - row, col)
+                assert observed[step.index][at] == class_of(step.observed[row, col])
+                assert fused[step.index][at] == class_of(step.fused[row, col])
+                assert predicted[step.index][at] == step.p_wall[row, col]
+                assert truth[-1][at] == class_of(episode.header.floor_plan.cells[row, col])
+
+
+def test_errors_are_marked_where_the_agent_could_have_known_better() -> None:
+    truth = draw("""
+        ######
+        #..#.#
+        #..###
+        ######
+    """)
+    fused = draw("""
+        ####??
+        #.##??
+        #?..##
+        ######
+    """)
+    marks = {".": CellClass.FREE, "#": CellClass.OCCUPIED, "?": CellClass.UNKNOWN,
+             "W": CellClass.FALSE_WALL, "f": CellClass.FALSE_FREE,
+             "-": CellClass.NOT_EXPLORABLE}  # fmt: skip
+    drawn = """
+        ####--
+        #.W#--
+        #?.f--
+        ####--
+    """
+    expected = [[marks[mark] for mark in line.strip()] for line in drawn.strip().splitlines()][::-1]
+    region = explorable(truth, Cell(1, 1))
+    assert error_classes(fused, truth, region).tolist() == expected
+
+
+def test_errors_are_sent_of_the_fused_map(saved: Path, episode: Episode, steps: list[Step]) -> None:
+    shape = episode.header.floor_plan.shape
+    shown = pictures(read(saved), "error", "SegmentationImage", shape)
+    truth = episode.header.floor_plan.cells
+    found = set()
+    for step in steps:
+        expected = error_classes(step.fused, truth, episode.explorable)
+        assert (shown[step.index][::-1] == expected).all()
+        found |= set(np.unique(expected).tolist())
+    assert found == set(CellClass), "this episode must show every kind of cell"
+
+
+@given(st.data(), st.integers(1, 9), st.integers(1, 9))
+def test_points_lie_on_the_cells_of_pictures(data: st.DataObject, height: int, width: int) -> None:
+    cell = (data.draw(st.integers(0, height - 1)), data.draw(st.integers(0, width - 1)))
+    grid = np.zeros((height, width), np.uint8)
+    grid[cell] = 1
+    x, y = rerun_columns.centres(np.array([cell]), height)[0]
+    picture = rerun_columns.as_pictures([grid])[0].reshape(height, width)
+    assert picture[int(y), int(x)] == 1
+    assert (x % 1, y % 1) == (0.5, 0.5)
+
+
+def test_rays_end_at_the_hit_the_range_or_the_border() -> None:
+    corridor = plan("""
+        ..........
+        ..........
+        #....S...#
+        ..........
+        ..........
+    """)
+    config = EpisodeConfig(planner="nearest", start=(2, 5), reach=4, rays=8, max_steps=1)
+    episode = prepare_episode(config, corridor)
+    first = next(run_episode(episode))
+    ends = [tuple(strip[1]) for strip in ray_strips(first, episode.header).tolist()]
+    starts = {tuple(strip[0]) for strip in ray_strips(first, episode.header).tolist()}
+    assert starts == {(5.5, 2.5)}
+    east, north_east, north, _, west, _, south, _ = ends
+    assert east == (9.5, 2.5)  # the hit
+    assert west == (1.5, 2.5)  # the end of its range of four cells
+    assert north == (5.5, 0.5)  # the border: y grows downwards in pictures
+    assert north_east == (7.5, 0.5)
+    assert south == (5.5, 4.5)
+
+
+def test_agent_trail_frontier_path_and_target_are_those_of_the_step(
+    saved: Path, episode: Episode, steps: list[Step]
+) -> None:
+    height = episode.header.floor_plan.shape[0]
+    recorded = read(saved)
+
+    def xy(cell: Any) -> list[float]:
+        return [cell[1] + 0.5, height - cell[0] - 0.5]
+
+    for before, step in zip([None, *steps], steps, strict=False):
+        k = step.index
+        assert recorded["/agent/position:Points2D:positions"][k] == [xy(step.agent)]
+        move = [[xy(before.agent), xy(step.agent)]] if before else []
+        assert recorded["/agent/trail:LineStrips2D:strips"][k] == move
+        frontier = [xy(cell) for cell in step.frontier]
+        assert recorded["/plan/frontier:Points2D:positions"][k] == frontier
+        path = [[xy(cell) for cell in step.decision.path]] if step.decision else []
+        assert recorded["/plan/path:LineStrips2D:strips"][k] == path
+        target = [xy(step.decision.target)] if step.decision else []
+        assert recorded["/plan/target:Points2D:positions"][k] == target
+        assert len(recorded["/agent/rays:LineStrips2D:strips"][k]) == 16
+    assert steps[-1].decision is None, "the last step clears path and target"
+
+
+def test_curves_events_and_header_are_sent(saved: Path, steps: list[Step]) -> None:
+    recorded = read(saved)
+    names = ("f1", "coverage_observed", "coverage_fused", "correct_coverage_fused")
+    for name in names:
+        curve = recorded[f"/scores/{name}:Scalars:scalars"]
+        expected = {step.index: [getattr(step.metrics, name)] for step in steps}
+        assert curve == expected
+    texts = recorded["/events:TextLog:text"]
+    assert texts[steps[-1].index] == [f"step 30, outcome: {steps[-1].events[-1].text}"]
+    (document,) = recorded["/header:TextDocument:text"][-1]
+    assert "| predictor | noisy |" in document
+
+
+@pytest.mark.parametrize(
+    ("p_wall", "shown"),
+    [
+        (np.array([[0, 77, 255]], np.uint8), [0, 77, 255]),
+        (np.array([[0, 19789, 65535]], np.uint16), [0, 77, 255]),
+        (np.array([[0.0, 0.302, 1.0]], np.float32), [0, 77, 255]),
+    ],
+)
+def test_predictions_of_any_type_are_shown_in_256_levels(
+    p_wall: npt.NDArray[Any], shown: list[int]
+) -> None:
+    assert rerun_columns.display_probability(p_wall).tolist() == [shown]
+
+
+def test_blocks_join_without_a_seam(
+    episode: Episode, steps: list[Step], saved: Path, tmp_path: Path, monkeypatch: Any
+) -> None:
+    monkeypatch.setattr(rerun_columns, "BLOCK_STEPS", 7)
+    save_rrd(tmp_path / "seven.rrd", episode.header, iter(steps))
+    assert read(tmp_path / "seven.rrd") == read(saved)
+
+
+def test_a_live_view_shows_what_a_finished_one_shows(
+    episode: Episode, steps: list[Step], saved: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "live.rrd"
+
+    def to_file(recording: rr.RecordingStream, blueprint: rrb.Blueprint) -> None:
+        recording.save(path, blueprint)
+
+    with LiveView(episode.header, to_file) as live:
+        for step in steps:
+            live.add(step)
+    assert read(path) == read(saved)
+
+
+def test_a_step_without_a_prediction_takes_back_the_last_one(
+    episode: Episode, steps: list[Step], tmp_path: Path
+) -> None:
+    silent = replace(steps[1], p_wall=None)
+    save_rrd(tmp_path / "x.rrd", episode.header, [steps[0], silent])
+    column = read(tmp_path / "x.rrd")["/maps/predicted:DepthImage:buffer"]
+    assert len(column[0]) == 1
+    assert column[1] == []
+
+
+def test_two_episodes_share_a_recording_under_two_roots(
+    episode: Episode, steps: list[Step], tmp_path: Path
+) -> None:
+    path = tmp_path / "two.rrd"
+    recording = rr.RecordingStream("two")
+    recording.save(path)
+    send_episode(recording, episode.header, steps, root="/A")
+    send_episode(recording, episode.header, steps[:5], root="/B")
+    recording.flush()
+    recording.disconnect()
+    recorded = read(path)
+    assert len(recorded["/A/maps/fused:SegmentationImage:buffer"]) == len(steps)
+    assert len(recorded["/B/maps/fused:SegmentationImage:buffer"]) == 5
+
+
+def view_names(path: Path) -> set[str]:
+    reader = RrdReader(path)
+    (blueprint,) = reader.blueprints()
+    names = set()
+    for chunk in reader.stream(store=blueprint):
+        batch = chunk.to_record_batch()
+        if "ViewBlueprint:display_name" in batch.schema.names:
+            names.update(
+                name for row in batch["ViewBlueprint:display_name"].to_pylist() for name in row
+            )
+    return names
+
+
+def test_the_file_holds_its_layout(saved: Path) -> None:
+    assert view_names(saved) == {
+        "Observed", "Predicted P(wall)", "Fused", "Error of fused", "Truth",
+        "F1 and coverage", "Events", "Episode",
+    }  # fmt: skip
+
+
+def test_without_a_predictor_nothing_is_left_empty(tmp_path: Path) -> None:
+    config = EpisodeConfig(planner="nearest", predictor="none", max_steps=3)
+    episode = prepare_episode(config, plan(HOUSE))
+    save_rrd(tmp_path / "x.rrd", episode.header, run_episode(episode))
+    recorded = read(tmp_path / "x.rrd")
+    assert "Predicted P(wall)" not in view_names(tmp_path / "x.rrd")
+    assert "/maps/predicted:DepthImage:buffer" not in recorded
+    fused = recorded["/maps/fused:SegmentationImage:buffer"]
+    assert fused == recorded["/maps/observed:SegmentationImage:buffer"]
+
+
+# --- Where it is shown ---------------------------------------------------------------------
+
+
+def test_a_file_is_only_overwritten_by_force(
+    episode: Episode, steps: list[Step], tmp_path: Path
+) -> None:
+    path = tmp_path / "x.rrd"
+    path.write_text("precious")
+    with pytest.raises(LogError, match="already there; use --force"):
+        save_rrd(path, episode.header, steps)
+    assert path.read_text() == "precious"
+    save_rrd(path, episode.header, steps, force=True)
+    assert len(read(path)["/events:TextLog:text"]) > 0
+
+
+def test_a_file_is_written_whole_or_not_at_all(
+    episode: Episode, steps: list[Step], tmp_path: Path
+) -> None:
+    def damaged() -> Iterator[Step]:
+        yield from steps[:3]
+        raise LogError("x.mcap: damaged")
+
+    with pytest.raises(LogError, match="damaged"):
+        save_rrd(tmp_path / "x.rrd", episode.header, damaged())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_cannot_be_written_is_a_clear_error(
+    episode: Episode, steps: list[Step], tmp_path: Path
+) -> None:
+    with pytest.raises(LogError, match=r"x\.rrd: cannot be written \(No such file or directory\)"):
+        save_rrd(tmp_path / "nowhere" / "x.rrd", episode.header, steps)
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(LogError, match=r"folder: cannot be written \(Is a directory\)"):
+        save_rrd(tmp_path / "folder", episode.header, steps, force=True)
+
+
+@pytest.mark.parametrize(
+    ("platform", "environment", "ok"),
+    [
+        ("linux", {}, False),
+        ("linux", {"DISPLAY": ""}, False),
+        ("linux", {"DISPLAY": ":0"}, True),
+        ("linux", {"WAYLAND_DISPLAY": "wayland-0"}, True),
+        ("darwin", {}, True),
+        ("win32", {}, True),
+    ],
+)
+def test_a_window_needs_a_display(platform: str, environment: dict[str, str], ok: bool) -> None:
+    if ok:
+        rerun_view.require_display(platform, environment)
+    else:
+        with pytest.raises(UsageError, match=r"--web .*--save"):
+            rerun_view.require_display(platform, environment)
+
+
+def test_without_a_display_nothing_is_started(
+    episode: Episode, steps: list[Step], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(rerun_view, "_viewer", lambda *_: pytest.fail("a viewer was started"))
+    with pytest.raises(UsageError, match="no display"):
+        rerun_view.open_viewer(episode.header, steps)
+    with pytest.raises(UsageError, match="no display"):
+        LiveView(episode.header)
+
+
+@pytest.mark.filterwarnings("ignore:RRD file has no footer")  # the client is stopped
+def test_the_web_viewer_is_served_to_this_machine_only(
+    episode: Episode, steps: list[Step], tmp_path: Path
+) -> None:
+    with serve_web(episode.header, steps) as server:
+        process = psutil.Process(server._process.pid)
+        page = urllib.request.urlopen(server.address, timeout=5)
+        with page:
+            assert b"Rerun" in page.read()
+        listening = [c.laddr.ip for c in process.net_connections() if c.status == "LISTEN"]
+        assert set(listening) == {"127.0.0.1"}
+        received = receive(server._grpc_address, tmp_path / "got.rrd")
+        with pytest.raises(UsageError, match="cannot be used"):
+            WebServer(grpc_port=int(server._grpc_address.split(":")[-1].split("/")[0]))
+    assert not process.is_running()
+    assert len(received["/maps/fused:SegmentationImage:buffer"]) == len(steps)
+
+
+def receive(address: str, path: Path) -> Recorded:
+    """What a client of the server gets: Rerun's own, which goes on listening until stopped."""
+    client = [rerun_view._executable(), "--bind=127.0.0.1", "--port=auto", address, "--save", path]
+    with subprocess.Popen(client, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        sizes = [0]
+        while len(sizes) < 100 and (sizes[-1] == 0 or sizes[-1] != sizes[-5:][0]):
+            time.sleep(0.2)
+            sizes.append(path.stat().st_size if path.exists() else 0)
+        process.terminate()
+    return read(path)
+
+
+# --- What is seen, in the real viewer ------------------------------------------------------
+
+Screenshot = Callable[[int, str], npt.NDArray[np.uint8]]
+"""(step, name of a view) -> uint8[h, w, 3], RGB."""
+
+
+@pytest.fixture(scope="module")
+def screenshot(saved: Path) -> Iterator[Screenshot]:
+    from rerun.experimental import ViewerClient
+
+    port = rerun_view._free_port(None)
+    options = ("--headless", "--window-size=1600x900", "--hide-welcome-screen")
+    with rerun_view._viewer(f"--port={port}", *options) as process:
+        try:
+            rerun_view._await(
+                lambda: process.poll() is not None or rerun_view._answers(port), "the viewer"
+            )
+            time.sleep(1)  # without a graphics adapter it ends a moment after it listens
+            if process.poll() is not None:
+                pytest.skip("the Rerun viewer needs Vulkan: install mesa-vulkan-drivers")
+            client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+            client.open(str(saved))
+            views = {view.name: view.view_id for view in client.get_state().views}
+
+            def shoot(step: int, view: str) -> npt.NDArray[np.uint8]:
+                client.set_time("step", sequence=step, play_state="paused")
+                png = np.frombuffer(client.take_screenshot(views[view]), np.uint8)
+                image: npt.NDArray[np.uint8] = cv2.imdecode(png, cv2.IMREAD_COLOR)[..., ::-1]
+                return image
+
+            time.sleep(7)  # notices of the start cover a part of the views
+            yield shoot
+        finally:
+            process.terminate()
+
+
+LATTICE = 9
+"""Pixels along a cell: enough to find some between the rays in the agent's own cell."""
+
+
+def samples(image: npt.NDArray[np.uint8], shape: tuple[int, int]) -> npt.NDArray[np.int64]:
+    """int64[H, W, LATTICE**2, 3]: a lattice of pixels in each cell, row 0 on top.
+
+    The picture is found as the bounding box of all that is not the view's background.
+    """
+    rows, cols = np.nonzero((image != image[0, 0]).any(axis=2))
+    top, left = rows.min(), cols.min()
+    height, width = rows.max() + 1 - top, cols.max() + 1 - left
+    assert width / height == pytest.approx(shape[1] / shape[0], rel=0.02)
+    inner = np.linspace(0.1, 0.9, LATTICE)
+    ys = (top + (np.arange(shape[0])[:, None] + inner) * height / shape[0]).astype(int)
+    xs = (left + (np.arange(shape[1])[:, None] + inner) * width / shape[1]).astype(int)
+    lattice = image[ys[:, None, :, None], xs[None, :, None, :]]
+    return lattice.reshape(*shape, LATTICE**2, 3).astype(np.int64)
+
+
+def seen_classes(image: npt.NDArray[np.uint8], shape: tuple[int, int]) -> npt.NDArray[np.int64]:
+    """int64[H, W], row 0 at the bottom: the class whose colour most of a cell's pixels have.
+
+    Pixels of rays, points and lines have none of these colours, and do not count.
+    """
+    palette = np.array([CELL_COLOURS[c] for c in CellClass])
+    near = np.abs(samples(image, shape)[..., None, :] - palette).max(axis=-1) <= 2
+    votes = near.sum(axis=2)
+    return np.where(votes.max(axis=-1) > 0, votes.argmax(axis=-1), -1)[::-1]
+
+
+def agreement(seen: npt.NDArray[Any], expected: npt.NDArray[Any], tolerance: int = 0) -> float:
+    return float((np.abs(seen.astype(int) - expected.astype(int)) <= tolerance).mean())
+
+
+def controls(expected: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
+    """What a wrong view would show."""
+    side = min(expected.shape)
+    transposed = expected.copy()
+    transposed[:side, :side] = expected[:side, :side].T
+    return {
+        "flipped": expected[::-1],
+        "mirrored": expected[:, ::-1],
+        "turned": expected[::-1, ::-1],
+        "transposed": transposed,
+        "a row higher": np.roll(expected, 1, axis=0),
+        "a column to the right": np.roll(expected, 1, axis=1),
+    }
+
+
+def test_every_cell_is_seen_where_it_lies(
+    screenshot: Screenshot, episode: Episode, steps: list[Step]
+) -> None:
+    plan = episode.header.floor_plan
+
+    def classes(cells: Grid) -> npt.NDArray[np.int64]:
+        return np.vectorize(class_of, otypes=[np.int64])(cells)
+
+    expected: dict[str, Callable[[Step], npt.NDArray[Any]]] = {
+        "Observed": lambda step: classes(step.observed),
+        "Fused": lambda step: classes(step.fused),
+        "Error of fused": lambda step: error_classes(step.fused, plan.cells, episode.explorable),
+    }
+    for k in (5, 13, 19):
+        for view, map_of in expected.items():
+            seen = seen_classes(screenshot(k, view), plan.shape)
+            right = map_of(steps[k])
+            assert np.argwhere(seen != right).tolist() == [], (k, view, steps[k].agent)
+            for name, wrong in controls(right).items():
+                assert agreement(seen, wrong) < 0.95, (k, view, name)
+            other = map_of(steps[k + 10])
+            assert agreement(seen, other) < 0.95, (k, view, "ten steps later")
+            next_one = map_of(steps[k + 1])
+            assert agreement(seen, next_one) < 1.0, (k, view, "next step")
+
+
+def test_the_prediction_is_seen_where_it_lies(
+    screenshot: Screenshot, episode: Episode, steps: list[Step]
+) -> None:
+    ramp = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_VIRIDIS)
+    viridis = ramp[:, 0, ::-1].astype(np.int64)
+    for k in (0, 13):
+        image = screenshot(k, "Predicted P(wall)")
+        lattice = samples(image, episode.header.floor_plan.shape)
+        distances = np.abs(lattice[..., None, :] - viridis).max(axis=-1)
+        levels = np.where(distances.min(axis=-1) <= 12, distances.argmin(axis=-1), -1000)
+        seen = np.median(levels, axis=-1)[::-1]  # lines cover less than half of a cell
+        right = steps[k].p_wall
+        assert right is not None
+        assert agreement(seen, right, tolerance=6) == 1.0
+        for name, wrong in controls(right).items():
+            assert agreement(seen, wrong, tolerance=6) < 0.9, name
+
+
+def test_agent_and_frontier_are_seen_on_their_cells(
+    screenshot: Screenshot, episode: Episode, steps: list[Step]
+) -> None:
+    shape = episode.header.floor_plan.shape
+    for k in (0, 13):
+        step = steps[k]
+        centre = samples(screenshot(k, "Fused"), shape)[::-1, :, LATTICE**2 // 2]
+
+        def is_at(cell: Any, colour: tuple[int, int, int], centre: Any = centre) -> bool:
+            return bool(np.abs(centre[tuple(cell)] - colour).max() <= 40)
+
+        assert step.decision is not None
+        assert is_at(step.agent, AGENT_COLOUR)
+        covered = {tuple(cell) for cell in step.decision.path.tolist()}
+        free = [cell for cell in step.frontier.tolist() if tuple(cell) not in covered]
+        assert free
+        assert all(is_at(cell, FRONTIER_COLOUR) for cell in free)
+        assert not any(
+            is_at((r, c + 1), FRONTIER_COLOUR) for r, c in free if [r, c + 1] not in free
+        )
