@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy import ndimage
 
 from mapreplay import kernels
 from mapreplay.errors import FloorPlanError
@@ -79,18 +80,12 @@ class FloorPlan:
 
         Of two regions of one size, the one with the topmost, then leftmost cell.
         """
-        height, width = self.shape
-        reached = np.zeros(self.shape, np.bool_)
-        stack = np.empty(height * width, np.int32)
-        best, best_size = Cell(-1, -1), 0
-        rows, cols = np.nonzero(self.cells == FREE)
-        for i in np.lexsort((cols, -rows)):
-            cell = Cell(int(rows[i]), int(cols[i]))
-            if not reached[cell]:
-                size = kernels.flood(self.cells, *cell, reached, stack, kernels.MOVES)
-                if size > best_size:
-                    best, best_size = cell, size
-        return best
+        labels, _ = ndimage.label(self.cells == FREE, structure=np.ones((3, 3)))
+        sizes = np.bincount(labels.ravel())[1:]
+        largest = np.flatnonzero(sizes == sizes.max()) + 1
+        from_top = np.isin(labels, largest)[::-1]
+        row, col = divmod(int(np.argmax(from_top)), self.shape[1])
+        return Cell(self.shape[0] - 1 - row, col)
 
     def check_start(self, start: Cell | None) -> Cell:
         """`start`, or the default one.

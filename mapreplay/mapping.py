@@ -41,7 +41,9 @@ def quantize(p_wall: npt.NDArray[np.floating], dtype: PredictionDtype) -> Quanti
     if dtype is PredictionDtype.FLOAT32:
         return p_wall.astype(np.float32)
     scaled = np.rint(p_wall.astype(np.float64) * _TOP[dtype])
-    return scaled.astype(np.uint8 if dtype is PredictionDtype.UINT8 else np.uint16)
+    if dtype is PredictionDtype.UINT16:
+        return scaled.astype(np.uint16)
+    return scaled.astype(np.uint8)
 
 
 def dequantize(quantized: Quantized) -> npt.NDArray[np.float64]:

@@ -108,7 +108,7 @@ class Situation:
         """
         unseen = self.observed == UNKNOWN
         if self.prediction is None:
-            return unseen.astype(np.float64)
+            return np.asarray(unseen, np.float64)
         confidence = np.abs(2 * dequantize(self.prediction) - 1)
         uncertainty: Float64s = np.where(unseen, 1 - confidence, 0.0)
         return uncertainty

@@ -116,6 +116,12 @@ def contact_sheet(
     return sheet
 
 
+def encode_png(picture: Picture) -> bytes:
+    """The picture as a PNG file."""
+    _, data = cv2.imencode(".png", picture)
+    return data.tobytes()
+
+
 def _columns(tiles: int) -> int:
     """About 1.4 times as many columns as rows, or one off that if it fills the last row."""
     usual = math.ceil(math.sqrt(1.4 * tiles))

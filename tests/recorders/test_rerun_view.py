@@ -421,6 +421,19 @@ def test_the_web_viewer_is_served_to_this_machine_only(
     assert len(received["/maps/fused:SegmentationImage:buffer"]) == len(steps)
 
 
+@pytest.mark.filterwarnings("ignore:RRD file has no footer")  # the client is stopped
+def test_a_viewer_that_is_open_is_used_again(
+    episode: Episode, steps: list[Step], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DISPLAY", ":0")
+    with WebServer() as server:  # listens as a viewer does
+        monkeypatch.setattr(rerun_view, "_viewer", lambda *_: pytest.fail("a second one"))
+        port = int(server._grpc_address.split(":")[-1].split("/")[0])
+        rerun_view.open_viewer(episode.header, steps, port)
+        received = receive(server._grpc_address, tmp_path / "got.rrd")
+    assert len(received["/maps/fused:SegmentationImage:buffer"]) == len(steps)
+
+
 def receive(address: str, path: Path) -> Recorded:
     """What a client of the server gets: Rerun's own, which goes on listening until stopped."""
     client = [rerun_view._executable(), "--bind=127.0.0.1", "--port=auto", address, "--save", path]

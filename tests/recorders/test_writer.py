@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from mcap.reader import make_reader
 
 from mapreplay.episode import run_episode
 from mapreplay.errors import LogError
@@ -224,3 +225,7 @@ def test_chunks_stay_small_on_large_maps(tmp_path: Path, monkeypatch: pytest.Mon
     log = EpisodeLog(recorded.path)
     assert [differences(a, b) for a, b in zip(log, recorded.steps, strict=True)] == [[]] * 31
     assert differences(log[17], recorded.steps[17]) == []
+    with recorded.path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    assert len(summary.chunk_indexes) > 10
