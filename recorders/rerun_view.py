@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import http.client
 import importlib.util
 import os
 import socket
@@ -74,7 +75,7 @@ def open_viewer(header: EpisodeHeader, steps: Iterable[Step], port: int = VIEWER
     Returns when all steps are sent; the viewer stays.
 
     Raises:
-        UsageError: there is no display.
+        UsageError: there is no display, or the port is taken by something else.
         MapreplayError: the viewer does not start.
     """
     _show(header, steps, native_viewer(port))
@@ -155,6 +156,10 @@ def native_viewer(port: int = VIEWER_PORT) -> Sink:
             with _viewer(f"--port={port}", *options):  # ends at once; the window is its child
                 pass
             _await(lambda: _answers(port), "the Rerun viewer")
+        elif not _speaks_grpc(port):  # to send to it would wait without end
+            raise UsageError(
+                f"port {port} is used by something that is not a Rerun viewer; use --web or --save"
+            )
         recording.connect_grpc(_grpc_address(port), default_blueprint=blueprint)
 
     return connect
@@ -295,6 +300,17 @@ def _free_port(wanted: int | None) -> int:
 
 def _grpc_address(port: int) -> str:
     return f"rerun+http://{LOOPBACK}:{port}/proxy"
+
+
+def _speaks_grpc(port: int) -> bool:
+    connection = http.client.HTTPConnection(LOOPBACK, port, timeout=2.0)
+    try:
+        connection.request("POST", "/", headers={"Content-Type": "application/grpc-web"})
+        return connection.getresponse().getheader("grpc-status") is not None
+    except (OSError, http.client.HTTPException):
+        return False
+    finally:
+        connection.close()
 
 
 def _answers(port: int) -> bool:

@@ -37,7 +37,7 @@ def table(pairs: list[Pair]) -> Table:
     """Both episodes of each floor plan side by side."""
     result = Table(
         "floor plan", "", "steps", "path m", "cover", "correct", "F1", "outcome", "saved",
-        box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True,
+        box=box.SIMPLE_HEAD, pad_edge=False, padding=0,
     )  # fmt: skip
     for pair in pairs:
         for label, row in (("observed", pair.reference), ("fused", pair.candidate)):

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from mapreplay.cli.output import ForceOption, Format, FormatOption, OutputOption, emit, note
 from mapreplay.errors import FloorPlanError
+
+if TYPE_CHECKING:
+    from mapreplay.floorplan import FloorPlan
 
 LOST = 3
 
@@ -39,7 +42,6 @@ def floorplans(
 
     from mapreplay.cli.output import write_file
     from mapreplay.floorplans import open_source, read_ids, select
-    from mapreplay.floorplans.describe import describe
 
     source = open_source(spec, resolution)
     wanted = read_ids(ids) if ids else None
@@ -50,10 +52,17 @@ def floorplans(
             plans.append(source.load(floor_plan_id))
         except FloorPlanError as error:
             refused.append(str(error))
-    rows = [asdict(describe(plan)) for plan in plans]
-    frame = pl.DataFrame([row | {"start": "{} {}".format(*row["start"])} for row in rows])
     if plans:
-        emit(frame, "mapreplay.floorplans/1", form, output, force=force)
+        frame = pl.DataFrame([_row(plan) for plan in plans])
+        text = frame.select(
+            "id",
+            pl.format("{} x {}", "height", "width").alias("cells"),
+            pl.col("resolution").alias("m/cell"),
+            pl.col("wall_share").alias("walls"),
+            "explorable",
+            "unknown",
+        )
+        emit(frame, "mapreplay.floorplans/1", form, output, text=text, force=force)
     if preview and plans:
         from mapreplay.floorplans.preview import contact_sheet, encode_png
 
@@ -68,3 +77,12 @@ def floorplans(
         note(f"{len(selection.missing)} ids are not in {spec}, such as {selection.missing[0]}")
     if refused or selection.missing:
         raise typer.Exit(LOST)
+
+
+def _row(plan: FloorPlan) -> dict[str, Any]:
+    from mapreplay.floorplans.describe import describe
+
+    summary = describe(plan)
+    fields = asdict(summary)
+    del fields["start"]
+    return fields | {"start_row": summary.start.row, "start_col": summary.start.col}

@@ -109,7 +109,7 @@ def _text_table(frame: pl.DataFrame, *, wide: bool) -> bytes:
     ]
     title = ", ".join(f"{name.replace('_', ' ')} {_text_value(frame[name][0])}" for name in same)
     frame = frame.drop(same)
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, header_style="bold")
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=0, header_style="bold")
     for name, dtype in frame.schema.items():
         table.add_column(
             name.replace("_", " "),

@@ -230,8 +230,8 @@ def _watch(tasks: list[Task]) -> list[Path]:
         episode = prepare_episode(task.config, task.floor_plan, predictor=predictor)
         path = task.folder / episode.header.file_name
         with (
+            LiveView(episode.header) as live,  # first: without a display nothing is recorded
             EpisodeWriter(path, episode.header, profile=task.profile, force=task.force) as writer,
-            LiveView(episode.header) as live,
         ):
             for step in run_episode(episode):
                 writer.write(step)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import socket
 import subprocess
 import time
 import urllib.request
@@ -432,6 +433,16 @@ def test_a_viewer_that_is_open_is_used_again(
         rerun_view.open_viewer(episode.header, steps, port)
         received = receive(server._grpc_address, tmp_path / "got.rrd")
     assert len(received["/maps/fused:SegmentationImage:buffer"]) == len(steps)
+
+
+def test_nothing_is_sent_to_what_is_not_a_viewer(
+    episode: Episode, steps: list[Step], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DISPLAY", ":0")
+    with socket.create_server(("127.0.0.1", 0)) as deaf:
+        port = deaf.getsockname()[1]
+        with pytest.raises(UsageError, match=f"port {port} is used"):
+            rerun_view.open_viewer(episode.header, steps, port)
 
 
 def receive(address: str, path: Path) -> Recorded:
