@@ -60,7 +60,7 @@ app.add_typer(bench_app, name="bench")
 def main() -> None:
     """Entry point: every error is one line on stderr and an exit code."""
     try:
-        code = app(standalone_mode=False)
+        code = app(prog_name="mapreplay", standalone_mode=False)
     except MapreplayError as error:
         _fail(str(error), error.exit_code)
     except typer.TyperException as error:  # wrong usage

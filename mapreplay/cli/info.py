@@ -18,7 +18,10 @@ def info(
     output: OutputOption = None,
     force: ForceOption = False,
 ) -> None:
-    """Show what one log says of itself: configuration, floor plan, end, events."""
+    """Show what one log says of itself.
+
+    Configuration, floor plan, predictor, versions, how it ended, and its events.
+    """
     import polars as pl
 
     from mapreplay.analysis.episodes import summarize

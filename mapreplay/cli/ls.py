@@ -15,7 +15,7 @@ def ls(
     output: OutputOption = None,
     force: ForceOption = False,
 ) -> None:
-    """List episodes: what was run, how it ended, and the last scores."""
+    """List episodes: what was run and how it ended."""
     rows, unreadable = choose(paths, where)
     from mapreplay.analysis.episodes import brief, episode_frame
 

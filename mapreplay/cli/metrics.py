@@ -31,7 +31,11 @@ def metrics(
     output: OutputOption = None,
     force: ForceOption = False,
 ) -> None:
-    """Recompute all metrics of every step, and check them against what was recorded."""
+    """Recompute the metrics of every step.
+
+    From the logged maps alone; with the default options they are compared with what was
+    recorded, bit for bit.
+    """
     import numpy as np
     import polars as pl
 

@@ -51,7 +51,10 @@ def train(
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint.")] = False,
     force: ForceOption = False,
 ) -> None:
-    """Train a map predictor on simulated observations of floor plans."""
+    """Train a map predictor on floor plans.
+
+    On simulated observations of them; with checkpoints, and a model card beside the weights.
+    """
     if out.suffix != ".safetensors":
         raise UsageError(f"--out {out}: should end in .safetensors")
     if out.exists() and not force:

@@ -19,7 +19,11 @@ def view(
     web: Annotated[bool, typer.Option("--web", help="Show in a browser, on this machine.")] = False,
     force: ForceOption = False,
 ) -> None:
-    """Replay an episode in Rerun: maps, rays, trail, frontier, target and curves."""
+    """Replay an episode in Rerun.
+
+    Observed, predicted, fused and error maps side by side, with rays, trail, frontier, target
+    and curves on one timeline.
+    """
     if save and web:
         raise UsageError("view: choose one of --save and --web")
     from mapreplay.recorders.log import EpisodeLog
