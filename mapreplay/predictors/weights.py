@@ -11,7 +11,7 @@ from typing import Final
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 
 from mapreplay.errors import WeightsError
 
@@ -54,7 +54,8 @@ def save_tensors(path: Path, tensors: Mapping[str, torch.Tensor], notes: Mapping
     """Write a safetensors file, whole or not at all."""
     part = path.with_name(path.name + ".part")
     flat = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
-    save_file(flat, part, metadata=dict(notes))
+    # Not `save_file`: what that writes only its owner may read.
+    part.write_bytes(save(flat, metadata=dict(notes)))
     part.replace(path)
 
 
