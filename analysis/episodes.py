@@ -63,7 +63,8 @@ def episode_row(path: Path) -> EpisodeRow:
 def summarize(log: EpisodeLog, file: str) -> EpisodeRow:
     """Summarize an open log; `file` is what the row calls it."""
     config, table = log.header.config, log.table()
-    last = table.row(-1, named=True)
+    # An episode that was killed early may have no complete step.
+    last = dict.fromkeys(table.columns) if table.is_empty() else table.row(-1, named=True)
     suffix = "observed" if config.build is MapKind.OBSERVED else "fused"
     mapped = table.filter(pl.col(f"coverage_{suffix}") >= config.coverage)["step"]
     correct = table.filter(pl.col(f"correct_coverage_{suffix}") >= config.correct_coverage)["step"]
@@ -81,15 +82,19 @@ def summarize(log: EpisodeLog, file: str) -> EpisodeRow:
         start_col=log.header.start.col,
         max_steps=log.header.max_steps,
         outcome=outcome.value if outcome else UNFINISHED,
-        steps=int(last["step"]),
+        steps=last["step"] or 0,
         mapping_time=int(mapped[0]) if len(mapped) else None,
         correct_time=int(correct[0]) if len(correct) else None,
-        path_length=last["path_length"],
-        coverage=last[f"coverage_{suffix}"],
-        correct=last[f"correct_coverage_{suffix}"],
-        f1=float("nan") if last["f1"] is None else last["f1"],
+        path_length=_real(last["path_length"]),
+        coverage=_real(last[f"coverage_{suffix}"]),
+        correct=_real(last[f"correct_coverage_{suffix}"]),
+        f1=_real(last["f1"]),
         fail_safe_steps=table.filter(pl.col("mode") == "fail-safe").height,
     )
+
+
+def _real(value: float | None) -> float:
+    return float("nan") if value is None else value
 
 
 _DTYPES: Final = {

@@ -11,10 +11,9 @@ import numpy as np
 import polars as pl
 
 from mapreplay import plugins
-from mapreplay.episode import measure
+from mapreplay.episode import Travelled, measure
 from mapreplay.errors import MapreplayError
 from mapreplay.grid import FREE, OCCUPIED, Mask
-from mapreplay.kernels import SQRT2
 from mapreplay.recorders.log import EpisodeLog
 from mapreplay.scores import UnknownAs
 from mapreplay.step import EpisodeHeader, Step, StepMetrics
@@ -101,14 +100,11 @@ def recompute(
     """
     header = log.header
     cells = log.explorable if region is None else region
-    straight = diagonal = 0
-    previous: Step | None = None
+    travelled, agent = Travelled(), header.start
     for step in log.steps():
-        if previous is not None:
-            moved = np.abs(np.subtract(step.agent, previous.agent)).sum()
-            straight, diagonal = straight + int(moved == 1), diagonal + int(moved == 2)
-        previous = step
-        path_length = (straight + diagonal * SQRT2) * header.floor_plan.resolution
+        travelled = travelled.to(agent, step.agent)
+        agent = step.agent
+        path_length = travelled.metres(header.floor_plan.resolution)
         metrics = measure(
             header, cells, step.observed, step.p_wall, step.fused, path_length, unknown_as
         )

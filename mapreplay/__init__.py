@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from mapreplay.errors import MapreplayError
     from mapreplay.floorplan import FloorPlan
     from mapreplay.floorplans import open_source
+    from mapreplay.foreign import ForeignEpisode, unknown_floor_plan
     from mapreplay.recorders.log import EpisodeLog
     from mapreplay.recorders.writer import EpisodeWriter
     from mapreplay.step import EpisodeHeader, Step
@@ -27,11 +28,13 @@ __all__ = [
     "EpisodeLog",
     "EpisodeWriter",
     "FloorPlan",
+    "ForeignEpisode",
     "MapreplayError",
     "Step",
     "open_source",
     "prepare_episode",
     "run_episode",
+    "unknown_floor_plan",
 ]
 
 _HOMES = {
@@ -40,11 +43,13 @@ _HOMES = {
     "EpisodeLog": "mapreplay.recorders.log",
     "EpisodeWriter": "mapreplay.recorders.writer",
     "FloorPlan": "mapreplay.floorplan",
+    "ForeignEpisode": "mapreplay.foreign",
     "MapreplayError": "mapreplay.errors",
     "Step": "mapreplay.step",
     "open_source": "mapreplay.floorplans",
     "prepare_episode": "mapreplay.episode",
     "run_episode": "mapreplay.episode",
+    "unknown_floor_plan": "mapreplay.foreign",
 }
 
 

@@ -68,22 +68,88 @@ def prepare_episode(
     """
     start = floor_plan.check_start(config.start_cell)
     region = explorable(floor_plan.cells, start)
-    free_cells = int((region & (floor_plan.cells == FREE)).sum())
     predictor = predictor or load_predictor(config.predictor)
     header = EpisodeHeader(
         config=config,
         floor_plan=floor_plan,
         start=start,
-        max_steps=config.max_steps or STEPS_PER_FREE_CELL * free_cells,
+        max_steps=budget(config, floor_plan, region),
         predictor=predictor.identity,
-        versions=_versions(),
+        versions=versions(),
     )
     return Episode(header, planner or load_planner(config.planner), predictor, region)
 
 
+def budget(config: EpisodeConfig, floor_plan: FloorPlan, region: Mask) -> int:
+    """Moves that are allowed; `region` (bool[H, W]) are the explorable cells."""
+    free_cells = int((region & (floor_plan.cells == FREE)).sum())
+    return config.max_steps or STEPS_PER_FREE_CELL * free_cells
+
+
 @lru_cache(maxsize=1)
-def _versions() -> tuple[tuple[str, str], ...]:
+def versions() -> tuple[tuple[str, str], ...]:
+    """(library, version) of what a result depends on, sorted."""
     return tuple((name, version(name)) for name in ("mapreplay", "numba", "numpy", "torch"))
+
+
+@dataclass(frozen=True)
+class Travelled:
+    """How far the agent has come, as an integer pair, so that equal ways are equally long."""
+
+    straight: int = 0
+    diagonal: int = 0
+
+    def to(self, before: Cell, after: Cell) -> Travelled:
+        """With the way from one cell to another added.
+
+        Ours are neighbours; between those of a log that leaves out poses, the shortest way
+        over open space counts.
+        """
+        rows, cols = abs(after.row - before.row), abs(after.col - before.col)
+        diagonal = min(rows, cols)
+        return Travelled(self.straight + max(rows, cols) - diagonal, self.diagonal + diagonal)
+
+    def metres(self, resolution: float) -> float:
+        """The length of the way; `resolution` is in metres a cell."""
+        return (self.straight + self.diagonal * SQRT2) * resolution
+
+
+@dataclass(frozen=True, eq=False)
+class Past:
+    """What a step takes over from those before it."""
+
+    index: int
+    """Of the step."""
+    agent: Cell
+    """Where it is at the step."""
+    travelled: Travelled
+    observed: Grid
+    """int8[H, W], before the step's scan."""
+    previous_target: Cell | None
+    sealed: bool
+    """The step before was in fail-safe mode."""
+    corrected: bool
+    """The target of correct coverage was reached before."""
+
+    @classmethod
+    def at_start(cls, header: EpisodeHeader) -> Past:
+        """Before the first step: nothing is known."""
+        nothing: Grid = np.full(header.floor_plan.shape, UNKNOWN, np.int8)
+        return cls(0, header.start, Travelled(), nothing, None, sealed=False, corrected=False)
+
+    def after(self, step: Step, agent: Cell, header: EpisodeHeader) -> Past:
+        """Before the step that follows `step`, with the agent moved to `agent`."""
+        config = header.config
+        right = step.metrics.correct_coverage(config.build)
+        return Past(
+            index=self.index + 1,
+            agent=agent,
+            travelled=self.travelled.to(self.agent, agent),
+            observed=step.observed,
+            previous_target=step.decision.target if step.decision else None,
+            sealed=step.mode is Mode.FAIL_SAFE,
+            corrected=self.corrected or right >= config.correct_coverage,
+        )
 
 
 def run_episode(episode: Episode) -> Iterator[Step]:
@@ -95,57 +161,29 @@ def run_episode(episode: Episode) -> Iterator[Step]:
         MapreplayError: the predictor or planner returned something impossible.
     """
     header, sensor = episode.header, episode.header.sensor
-    config, truth = header.config, header.floor_plan.cells
-    agent, straight, diagonal = header.start, 0, 0
-    observed: Grid = np.full(truth.shape, UNKNOWN, np.int8)
-    previous: Decision | None = None
-    sealed = corrected = False
-    for index in range(header.max_steps + 1):
+    plan = header.floor_plan
+    past = Past.at_start(header)
+    while True:
         clock = [perf_counter_ns()]
-        hits = sense(truth, agent, sensor)
-        observed = accumulate(observed, agent, hits, sensor)
+        hits = sense(plan.cells, past.agent, sensor)
+        observed = accumulate(past.observed, past.agent, hits, sensor)
         clock.append(perf_counter_ns())
-        p_wall = _predict(episode, observed)
+        p_wall = predict(header, episode.predictor, observed)
         clock.append(perf_counter_ns())
         fused = mapping.fuse(observed, p_wall, header.thresholds)
         clock.append(perf_counter_ns())
-        path_length = (straight + diagonal * SQRT2) * header.floor_plan.resolution
+        path_length = past.travelled.metres(plan.resolution)
         metrics = measure(header, episode.explorable, observed, p_wall, fused, path_length)
         clock.append(perf_counter_ns())
-        view = look_around(config, agent, observed, fused)
-        covered = metrics.coverage(config.build)
-        outcome, decision = None, None
-        if covered >= config.coverage:
-            outcome = Outcome.MAPPED
-        elif index == header.max_steps:
-            outcome = Outcome.OUT_OF_STEPS
-        elif not len(view.frontier):
-            outcome = Outcome.SEALED_IN
-        else:
-            decision = decide(episode, index, agent, observed, p_wall, view, previous)
+        view = look_around(header.config, past.agent, observed, fused)
+        outcome = outcome_of(header, past.index, metrics, view)
+        decision = None
+        if outcome is None:
+            decision = decide(header, episode.planner, past, observed, p_wall, view)
         clock.append(perf_counter_ns())
-
-        events = []
-        if (view.mode is Mode.FAIL_SAFE or outcome is Outcome.SEALED_IN) and not sealed:
-            events.append(Event(EventKind.SEALED_IN, "the fused map has no frontier within reach"))
-        if sealed and view.mode is Mode.NORMAL and outcome is not Outcome.SEALED_IN:
-            events.append(Event(EventKind.RELEASED, "the fused map has a frontier again"))
-        sealed = view.mode is Mode.FAIL_SAFE
-        right = metrics.correct_coverage(config.build)
-        if right >= config.correct_coverage and not corrected:
-            corrected = True
-            events.append(
-                Event(EventKind.CORRECT_REACHED, f"correct coverage {right:.4f} of the built map")
-            )
-        if outcome is Outcome.MAPPED:
-            events.append(
-                Event(EventKind.TARGET_REACHED, f"coverage {covered:.4f} of the built map")
-            )
-        if outcome is not None:
-            events.append(Event(EventKind.OUTCOME, f"{outcome} after {index} steps"))
-        yield Step(
-            index=index,
-            agent=agent,
+        step = Step(
+            index=past.index,
+            agent=past.agent,
             hits=hits,
             observed=observed,
             p_wall=p_wall,
@@ -153,30 +191,32 @@ def run_episode(episode: Episode) -> Iterator[Step]:
             frontier=view.frontier,
             decision=decision,
             metrics=metrics,
-            events=tuple(events),
+            events=events_of(header, past, metrics, view, outcome),
             outcome=outcome,
             profile=StepProfile(*(after - before for before, after in pairwise(clock))),
         )
+        yield step
         if decision is None:
             return
-        if decision.next_cell.row != agent.row and decision.next_cell.col != agent.col:
-            diagonal += 1
-        else:
-            straight += 1
-        agent, previous = decision.next_cell, decision
+        past = past.after(step, decision.next_cell, header)
 
 
-def _predict(episode: Episode, observed: Grid) -> Quantized | None:
-    raw = episode.predictor.predict(observed)
+def predict(header: EpisodeHeader, predictor: Predictor, observed: Grid) -> Quantized | None:
+    """The prediction as it is used and logged: quantized.
+
+    Raises:
+        MapreplayError: the predictor returned something that is no P(occupied) of that map.
+    """
+    raw = predictor.predict(observed)
     if raw is None:
         return None
-    name = episode.predictor.identity.name
+    name = predictor.identity.name
     if raw.shape != observed.shape:
         raise MapreplayError(
             f"predictor {name!r} returned shape {raw.shape} for a map of {observed.shape}"
         )
     try:
-        return mapping.quantize(raw, episode.header.config.prediction_dtype)
+        return mapping.quantize(raw, header.config.prediction_dtype)
     except ValueError as error:
         raise MapreplayError(f"predictor {name!r}: {error}") from None
 
@@ -214,34 +254,69 @@ def look_around(config: EpisodeConfig, agent: Cell, observed: Grid, fused: Grid)
     return View(Mode.NORMAL, plan_map, paths, cells)
 
 
+def outcome_of(
+    header: EpisodeHeader, index: int, metrics: StepMetrics, view: View
+) -> Outcome | None:
+    """How the episode ends at step `index`, or None if it goes on."""
+    config = header.config
+    if metrics.coverage(config.build) >= config.coverage:
+        return Outcome.MAPPED
+    if index >= header.max_steps:
+        return Outcome.OUT_OF_STEPS
+    if not len(view.frontier):
+        return Outcome.SEALED_IN
+    return None
+
+
+def events_of(
+    header: EpisodeHeader, past: Past, metrics: StepMetrics, view: View, outcome: Outcome | None
+) -> tuple[Event, ...]:
+    """What is worth a line in the log of a step."""
+    config, events = header.config, []
+    if (view.mode is Mode.FAIL_SAFE or outcome is Outcome.SEALED_IN) and not past.sealed:
+        events.append(Event(EventKind.SEALED_IN, "the fused map has no frontier within reach"))
+    if past.sealed and view.mode is Mode.NORMAL and outcome is not Outcome.SEALED_IN:
+        events.append(Event(EventKind.RELEASED, "the fused map has a frontier again"))
+    right = metrics.correct_coverage(config.build)
+    if right >= config.correct_coverage and not past.corrected:
+        events.append(
+            Event(EventKind.CORRECT_REACHED, f"correct coverage {right:.4f} of the built map")
+        )
+    if outcome is Outcome.MAPPED:
+        covered = metrics.coverage(config.build)
+        events.append(Event(EventKind.TARGET_REACHED, f"coverage {covered:.4f} of the built map"))
+    if outcome is not None:
+        events.append(Event(EventKind.OUTCOME, f"{outcome} after {past.index} steps"))
+    return tuple(events)
+
+
 def decide(
-    episode: Episode,
-    index: int,
-    agent: Cell,
+    header: EpisodeHeader,
+    planner: Planner,
+    past: Past,
     observed: Grid,
     p_wall: Quantized | None,
     view: View,
-    previous: Decision | None,
 ) -> Decision:
     """Ask the planner, and write down what it chose and what it left.
 
     Raises:
         MapreplayError: the planner's answer does not fit the frontier.
     """
-    config = episode.header.config
+    config = header.config
     on_fused = config.plan_on is MapKind.FUSED and view.mode is Mode.NORMAL
     situation = Situation(
-        agent=agent,
+        agent=past.agent,
         plan_map=view.plan_map,
         observed=observed,
         prediction=p_wall if on_fused else None,
         frontier=view.frontier,
         paths=view.paths,
-        previous_target=previous.target if previous else None,
-        draws=Draws(config.seed, Purpose.PLANNER, index),
-        sensor=episode.header.sensor,
+        previous_target=past.previous_target,
+        draws=Draws(config.seed, Purpose.PLANNER, past.index),
+        sensor=header.sensor,
     )
-    choice = episode.planner.choose(situation)
+    choice = planner.choose(situation)
     count = len(view.frontier)
     if not (0 <= choice.index < count and len(choice.utility) == len(choice.reward) == count):
         raise MapreplayError(

@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from mapreplay import kernels
 from mapreplay.errors import FloorPlanError
-from mapreplay.grid import FREE, OCCUPIED, Cell, Grid, Mask, Origin, check_grid
+from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid, Mask, Origin, check_grid
 
 MAX_SIDE = 4096
 """Cells along the longer side above which a floor plan is refused (16.7 million cells)."""
@@ -32,6 +32,8 @@ class FloorPlan:
     resolution: float
     """Metres a cell."""
     origin: Origin = Origin(0.0, 0.0)
+    has_truth: bool = True
+    """False for the log of a robot whose true map nobody knows; then all cells are unknown."""
 
     def __post_init__(self) -> None:
         """Check and freeze.
@@ -50,7 +52,9 @@ class FloorPlan:
             problem = f"resolution {self.resolution} must be a positive number of metres a cell"
         if problem is None and not np.isfinite(self.origin).all():
             problem = f"origin {tuple(self.origin)} is not finite"
-        if problem is None and not (self.cells == FREE).any():
+        if problem is None and not self.has_truth and (self.cells != UNKNOWN).any():
+            problem = "cells are known of a true map that is not known"
+        if problem is None and self.has_truth and not (self.cells == FREE).any():
             problem = "no free cell"
         if problem is not None:
             raise FloorPlanError(f"floor plan {self.id}: {problem}")
@@ -79,7 +83,12 @@ class FloorPlan:
         """The top-left free cell (largest y, then smallest x) of the largest free region.
 
         Of two regions of one size, the one with the topmost, then leftmost cell.
+
+        Raises:
+            FloorPlanError: the true map is not known.
         """
+        if not self.has_truth:
+            raise FloorPlanError(f"floor plan {self.id}: its true map is not known")
         labels, _ = ndimage.label(self.cells == FREE, structure=np.ones((3, 3)))
         sizes = np.bincount(labels.ravel())[1:]
         largest = np.flatnonzero(sizes == sizes.max()) + 1
@@ -100,7 +109,7 @@ class FloorPlan:
             raise FloorPlanError(
                 f"floor plan {self.id}: start {tuple(start)} lies outside of {height} x {width}"
             )
-        if self.cells[start] != FREE:
+        if self.has_truth and self.cells[start] != FREE:
             raise FloorPlanError(f"floor plan {self.id}: start {tuple(start)} is not a free cell")
         return start
 

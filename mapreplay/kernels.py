@@ -238,7 +238,7 @@ def tally(grid: Any, truth: Any, region: Any, counts: Any) -> None:
             if region[r, c]:
                 g = grid[r, c]
                 t = truth[r, c]
-                counts[(g + 1) if g < 1 else 2, (t + 1) if t < 1 else 2] += 1
+                counts[0 if g < 0 else 1 if g == 0 else 2, 0 if t < 0 else 1 if t == 0 else 2] += 1
 
 
 @njit(cache=True)

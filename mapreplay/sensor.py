@@ -49,6 +49,15 @@ def _offsets(rays: int, reach: int) -> npt.NDArray[np.int64]:
     return offsets
 
 
+@lru_cache(maxsize=8)
+def _distances(rays: int, reach: int) -> npt.NDArray[np.float64]:
+    """float64[rays, reach]: how far each cell of each ray is from the agent, in cells."""
+    offsets = _offsets(rays, reach)
+    distances: npt.NDArray[np.float64] = np.hypot(offsets[..., 0], offsets[..., 1])
+    distances.setflags(write=False)
+    return distances
+
+
 Hits = npt.NDArray[np.int16]
 """int16[rays]: the k in 1..reach of the cell that stopped each ray, 0 where nothing did."""
 
@@ -77,14 +86,14 @@ def accumulate(observed: Grid, agent: Cell, hits: Hits, sensor: Sensor) -> Grid:
 
 def ranges(hits: Hits, sensor: Sensor, resolution: float) -> npt.NDArray[np.float32]:
     """float32[rays]: metres from the agent's centre to the hit cell's, inf where nothing hit."""
-    offsets = sensor.offsets[np.arange(sensor.rays), np.maximum(hits, 1) - 1]
-    metres = np.hypot(offsets[:, 0], offsets[:, 1]) * resolution
+    distances = _distances(sensor.rays, sensor.reach)
+    metres = distances[np.arange(sensor.rays), np.maximum(hits, 1) - 1] * resolution
     return np.where(hits > 0, metres, np.inf).astype(np.float32)
 
 
 def hits_from_ranges(metres: npt.NDArray[np.floating], sensor: Sensor, resolution: float) -> Hits:
     """The inverse of `ranges`: the first cell of each ray whose distance is that range."""
-    distances = np.hypot(sensor.offsets[..., 0], sensor.offsets[..., 1]) * resolution
+    distances = _distances(sensor.rays, sensor.reach) * resolution
     finite = np.isfinite(metres)
     gaps = np.abs(distances - np.where(finite, metres, 0.0)[:, None])
     return np.where(finite, np.argmin(gaps, axis=1) + 1, 0).astype(np.int16)

@@ -22,6 +22,7 @@ from mapreplay.sensor import Hits, Sensor
 
 FIRST_STAMP_NS: Final = 1_000_000_000
 STEP_NS: Final = 100_000_000
+OURS: Final = "mapreplay"
 
 Cells = npt.NDArray[np.int32]
 """int32[n, 2]: (row, col) of n cells."""
@@ -174,7 +175,7 @@ class Step:
     index: int
     agent: Cell
     hits: Hits
-    """int16[rays], see `mapreplay.sensor`."""
+    """int16[rays], see `mapreplay.sensor`; int16[0] in a foreign log without scans."""
     observed: Grid
     """int8[H, W]."""
     p_wall: Quantized | None
@@ -227,6 +228,8 @@ class EpisodeHeader:
     predictor: PredictorIdentity
     versions: tuple[tuple[str, str], ...]
     """(library, version) of what the result depends on, sorted."""
+    simulator: str = OURS
+    """Who made the steps: ours, or the name of another, whose steps cannot be made again."""
 
     @property
     def sensor(self) -> Sensor:

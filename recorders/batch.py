@@ -144,7 +144,8 @@ class _Worker:
 
     def give(self, number: int, task: Task) -> None:
         self.task = number
-        self.connection.send((number, task))
+        with suppress(OSError):  # it is dead, as the next `receive` will find
+            self.connection.send((number, task))
 
     def receive(self) -> Report | None:
         """The next report, or None if the process is dead."""

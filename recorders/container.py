@@ -1,29 +1,36 @@
-"""MCAP files as we need them: checked whole, read by chunk, also when they end too early."""
+"""Reading MCAP files as we need them: checked whole, a chunk at a time, also when they end early.
+
+Sizes that a file claims are compared with the file, and with `mapreplay.recorders.limits`,
+before anything is allocated.
+"""
 
 from __future__ import annotations
 
 import io
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import BinaryIO, Final, NamedTuple
 
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.reader import make_reader
-from mcap.records import Channel, Chunk, McapRecord, Message, Metadata
-from mcap.stream_reader import breakup_chunk
-from mcap.summary import Summary
+from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
-MAX_CHUNK_BYTES: Final = 1 << 30
-"""Chunks that claim to be larger are refused: one step of the largest map has 150 MB."""
+from mapreplay.recorders.limits import (
+    MAX_CHUNK_BYTES,
+    MAX_MESSAGES_A_CHUNK,
+    MAX_METADATA_BYTES,
+    MAX_NAMES,
+    check_count,
+    check_size,
+)
+from mapreplay.recorders.messages import Topic
+from mapreplay.recorders.schemas import MESSAGE_ENCODING
 
 _PREFIX: Final = struct.Struct("<BQ")
-_FOOTER: Final = struct.Struct("<BQQQI")
-_DATA_END_SIZE: Final = _PREFIX.size + 4
-_BLOCK: Final = 1 << 20
+_MESSAGE: Final = struct.Struct("<HIQQ")
 
 
 class Record(NamedTuple):
@@ -39,15 +46,26 @@ def is_mcap(file: BinaryIO) -> bool:
     return file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
 
 
-def read_records(file: BinaryIO, offset: int = len(MCAP0_MAGIC)) -> Iterator[Record]:
-    """All complete records from `offset` on; a record that the file cuts off ends them."""
+def read_records(
+    file: BinaryIO, offset: int = len(MCAP0_MAGIC), wanted: Collection[int] = frozenset(Opcode)
+) -> Iterator[Record]:
+    """All complete records of the `wanted` kinds from `offset` on; others are skipped.
+
+    A record that the file cuts off ends them, and so does the footer.
+
+    Raises:
+        ValueError: a wanted record is larger than a record of ours may be.
+    """
     size = file.seek(0, io.SEEK_END)
-    file.seek(offset)
-    while len(prefix := file.read(_PREFIX.size)) == _PREFIX.size:
-        opcode, length = _PREFIX.unpack(prefix)
-        if length > size - file.tell():
+    while offset + _PREFIX.size <= size:
+        file.seek(offset)
+        opcode, length = _PREFIX.unpack(file.read(_PREFIX.size))
+        offset += _PREFIX.size + length
+        if offset > size:
             return
-        yield Record(opcode, file.read(length))
+        if opcode in wanted:
+            check_size("a record", length, MAX_CHUNK_BYTES)
+            yield Record(opcode, file.read(length))
         if opcode == Opcode.FOOTER:
             return
 
@@ -66,86 +84,140 @@ def read_record(file: BinaryIO, offset: int, opcode: Opcode) -> bytes:
 
 
 def read_metadata(body: bytes) -> Metadata:
-    """A metadata record."""
-    metadata: Metadata = Metadata.read(ReadDataStream(io.BytesIO(body)))
+    """A metadata record.
+
+    Raises:
+        ValueError: it is larger than one of ours may be.
+        McapError, struct.error: it is damaged.
+    """
+    check_size("a metadata record", len(body), MAX_METADATA_BYTES)
+    metadata: Metadata = Metadata.read(stream(body))
     return metadata
 
 
-def read_chunk(body: bytes) -> list[McapRecord]:
-    """The schemas, channels and messages of a chunk whose CRC is right.
+def read_attachment(body: bytes) -> Attachment:
+    """An attachment record."""
+    attachment: Attachment = Attachment.read(stream(body))
+    return attachment
+
+
+def read_chunk(body: bytes) -> bytes:
+    """The records in a chunk record, whose CRC is right.
 
     Raises:
-        ValueError: it is not, or the chunk claims an absurd size.
+        ValueError: it is not, the chunk claims an absurd size, or it is not compressed with
+            zstd.
         McapError, ZstdError, struct.error: the chunk is damaged.
     """
-    chunk = Chunk.read(ReadDataStream(io.BytesIO(body)))
-    claimed = chunk.uncompressed_size
-    if chunk.compression == "zstd":
-        claimed = max(claimed, zstandard.frame_content_size(chunk.data))
-    if claimed > MAX_CHUNK_BYTES:
-        raise ValueError(f"a chunk claims {claimed} bytes")
-    return breakup_chunk(chunk, validate_crc=True)
+    chunk = Chunk.read(stream(body))
+    if chunk.compression != "zstd":
+        raise ValueError(f"a chunk is compressed with {chunk.compression!r}, and not with 'zstd'")
+    # The frame says it once more, or nothing (-1); memory is allocated for what it says.
+    claimed = max(chunk.uncompressed_size, zstandard.frame_content_size(chunk.data))
+    check_size("a chunk", claimed, MAX_CHUNK_BYTES)
+    records = zstandard.ZstdDecompressor().decompress(
+        chunk.data, max_output_size=chunk.uncompressed_size
+    )
+    if zlib.crc32(records) != chunk.uncompressed_crc:
+        raise ValueError("the checksum of a chunk does not match")
+    return records
+
+
+class Channels:
+    """The channels of a log, as far as they were declared, by id."""
+
+    def __init__(self) -> None:
+        self.topics: dict[int, str] = {}
+        """Those that can be read."""
+        self._foreign: dict[int, str] = {}
+        self._types: dict[int, str] = {}
+
+    def declare_type(self, body: bytes) -> None:
+        """Learn from a schema record.
+
+        Raises:
+            ValueError: there are too many.
+            McapError, struct.error: it is damaged.
+        """
+        schema = Schema.read(stream(body))
+        self._types[schema.id] = schema.name
+        check_count("types", len(self._types), MAX_NAMES)
+
+    def declare(self, body: bytes) -> None:
+        """Learn from a channel record.
+
+        Raises:
+            ValueError: there are too many.
+            McapError, struct.error: it is damaged.
+        """
+        channel = Channel.read(stream(body))
+        check_count("channels", len(self.topics) + len(self._foreign), MAX_NAMES)
+        found = f"{self._types.get(channel.schema_id)} as {channel.message_encoding}"
+        if channel.topic in frozenset(Topic):
+            expected = f"{Topic(channel.topic).type_name} as {MESSAGE_ENCODING}"
+            if found != expected:
+                self._foreign[channel.id] = f"{channel.topic} is {found}, and not {expected}"
+                return
+        self.topics[channel.id] = channel.topic
+
+    def topic(self, number: int) -> str:
+        """The topic of a channel.
+
+        Raises:
+            ValueError: it was never declared, or is one of ours with a type that is not.
+        """
+        try:
+            return self.topics[number]
+        except KeyError:
+            reason = "a message is on a channel that was never declared"
+            raise ValueError(self._foreign.get(number, reason)) from None
 
 
 class Unpacked(NamedTuple):
-    """A message and the topic that it is on."""
+    """A message, and the topic and the step that it is of."""
 
     topic: str
-    message: Message
+    step: int
+    data: memoryview
 
 
-def unpack(records: list[McapRecord], topics: dict[int, str]) -> Iterator[Unpacked]:
-    """The messages of a chunk; `topics` by channel id learns the channels in it.
+def unpack(
+    records: bytes, channels: Channels, wanted: Collection[str] | None = None
+) -> Iterator[Unpacked]:
+    """The messages in the records of a chunk, as views of it.
 
-    Raises:
-        ValueError: a message is on a channel that was never declared.
-    """
-    for record in records:
-        if isinstance(record, Channel):
-            topics[record.id] = record.topic
-        elif isinstance(record, Message):
-            if record.channel_id not in topics:
-                raise ValueError("a message is on a channel that was never declared")
-            yield Unpacked(topics[record.channel_id], record)
-
-
-def read_summary(file: BinaryIO) -> Summary | None:
-    """The index of a finished file after checking every byte of it; None if it is unfinished.
+    Args:
+        records: See `read_chunk`.
+        channels: Those known so far; learns those in the chunk.
+        wanted: Other topics are skipped; None stands for all.
 
     Raises:
-        ValueError: a checksum does not match.
-        McapError, struct.error: the summary makes no sense.
+        ValueError: a message is on a channel that cannot be read, a record is longer than
+            the chunk, or there are more messages than a chunk may have.
+        struct.error: a record is cut off.
     """
-    tail_size = _FOOTER.size + len(MCAP0_MAGIC)
-    size = file.seek(0, io.SEEK_END)
-    if size < tail_size + len(MCAP0_MAGIC):
-        return None
-    file.seek(size - tail_size)
-    tail = file.read(tail_size)
-    opcode, length, summary_start, _, summary_crc = _FOOTER.unpack(tail[: _FOOTER.size])
-    if not tail.endswith(MCAP0_MAGIC) or (opcode, length) != (Opcode.FOOTER, 20):
-        return None
-    if summary_start == 0:  # allowed by the format, but no log of ours
-        return None
-    data_end = summary_start - _DATA_END_SIZE
-    if not len(MCAP0_MAGIC) <= data_end < size - tail_size:
-        raise ValueError("its index is outside of the file")
-    file.seek(data_end)
-    opcode, length, data_crc = struct.unpack("<BQI", file.read(_DATA_END_SIZE))
-    if (opcode, length) != (Opcode.DATA_END, 4):
-        raise ValueError("its index is not where it should be")
-    # 0 means that whoever wrote the file did not compute it.
-    if summary_crc and _crc(file, summary_start, size - len(MCAP0_MAGIC) - 4) != summary_crc:
-        raise ValueError("the checksum of its index does not match")
-    if data_crc and _crc(file, 0, data_end) != data_crc:
-        raise ValueError("the checksum of its data does not match")
-    file.seek(0)
-    return make_reader(file).get_summary()
+    view, position, count = memoryview(records), 0, 0
+    known = channels.topics
+    while position < len(records):
+        opcode, length = _PREFIX.unpack_from(records, position)
+        start = position + _PREFIX.size
+        position = start + length
+        if position > len(records):
+            raise ValueError("a record is longer than its chunk")
+        if opcode == Opcode.MESSAGE:
+            channel, sequence, _, _ = _MESSAGE.unpack_from(records, start)
+            topic = known.get(channel) or channels.topic(channel)
+            count += 1
+            if count > MAX_MESSAGES_A_CHUNK:
+                check_count("messages in a chunk", count, MAX_MESSAGES_A_CHUNK)
+            if wanted is None or topic in wanted:
+                yield Unpacked(topic, sequence, view[start + _MESSAGE.size : position])
+        elif opcode == Opcode.CHANNEL:
+            channels.declare(records[start:position])
+        elif opcode == Opcode.SCHEMA:
+            channels.declare_type(records[start:position])
 
 
-def _crc(file: BinaryIO, start: int, stop: int) -> int:
-    crc = 0
-    file.seek(start)
-    for position in range(start, stop, _BLOCK):
-        crc = zlib.crc32(file.read(min(_BLOCK, stop - position)), crc)
-    return crc
+def stream(body: bytes) -> ReadDataStream:
+    """The body of a record, for mcap's classes to read from."""
+    return ReadDataStream(io.BytesIO(body))

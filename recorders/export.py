@@ -34,7 +34,7 @@ def export_arrays(log: EpisodeLog, path: Path, *, force: bool = False) -> None:
     observed, fused: int8[n, H, W]; p_wall: uint8, uint16 or float32[m, H, W] of the m steps
     in p_wall_step, both only if there was a prediction; truth: int8[H, W]; explorable:
     bool[H, W]; agent, target: int32[n, 2] (row, col), the target -1 where there is none;
-    hits: int16[n, rays]; and a float64[n] for each of `StepMetrics`, NaN where undefined.
+    hits: int16[n, rays] (int16[n, 0] without scans); and a float64[n] for each of `StepMetrics`, NaN where undefined.
     The log is read once for each kind of map, so that memory stays bounded.
 
     Raises:
@@ -70,7 +70,7 @@ def _add_arrays(archive: zipfile.ZipFile, log: EpisodeLog) -> None:
         "explorable": log.explorable,
         "agent": np.array(agents, np.int32).reshape(count, 2),
         "target": np.array(targets, np.int32).reshape(count, 2),
-        "hits": np.array(hits, np.int16).reshape(count, log.header.sensor.rays),
+        "hits": np.array(hits, np.int16),
     }
     columns = np.array(metrics, np.float64).reshape(count, len(StepMetrics.names()))
     arrays |= dict(zip(StepMetrics.names(), columns.T, strict=True))

@@ -4,33 +4,42 @@ from __future__ import annotations
 
 import glob
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
+from enum import StrEnum
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple
+from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple, TypeVar
 
 import zstandard
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.reader import make_reader
-from mcap.summary import Summary
 
 from mapreplay.errors import LogError, MapreplayError
 from mapreplay.floorplan import explorable
-from mapreplay.grid import Mask
+from mapreplay.grid import Grid, Mask, Quantized
 from mapreplay.recorders import table
 from mapreplay.recorders.container import (
-    Unpacked,
+    Channels,
     is_mcap,
+    read_attachment,
     read_chunk,
     read_metadata,
     read_record,
     read_records,
-    read_summary,
     unpack,
 )
-from mapreplay.recorders.messages import Topic, decode_step, decode_truth
+from mapreplay.recorders.index import Index, read_index
+from mapreplay.recorders.limits import MAX_NAMES, check_count
+from mapreplay.recorders.messages import (
+    Messages,
+    Topic,
+    decode_map,
+    decode_prediction,
+    decode_step,
+    decode_truth,
+)
 from mapreplay.recorders.metadata import (
     EPISODE_RECORD,
     OUTCOME_RECORD,
@@ -44,6 +53,8 @@ from mapreplay.step import FIRST_STAMP_NS, STEP_NS, EpisodeHeader, Outcome, Step
 if TYPE_CHECKING:
     import polars as pl
 
+_T = TypeVar("_T")
+
 SUFFIXES: Final = (".mcap", ".mcap.part")
 
 _DAMAGE: Final = (
@@ -52,12 +63,30 @@ _DAMAGE: Final = (
     LookupError,
     McapError,
     MemoryError,
+    RecursionError,
     struct.error,
     TypeError,
     ValueError,
     zstandard.ZstdError,
 )
 """What the libraries raise when bytes are not what they should be."""
+
+
+class MapName(StrEnum):
+    """The maps that every step has."""
+
+    OBSERVED = "observed"
+    P_WALL = "p_wall"
+    FUSED = "fused"
+
+    @property
+    def topic(self) -> Topic:
+        """Where it is logged."""
+        return Topic(f"/map/{self}")
+
+
+_STEP_TOPICS: Final = frozenset(Topic) - {Topic.TRUTH, Topic.TF, Topic.PREDICTED}
+"""What a Step is read from: the others repeat it for viewers."""
 
 
 class EpisodeLog:
@@ -79,7 +108,7 @@ class EpisodeLog:
         with self._reading() as file:
             if not is_mcap(file):
                 raise LogError("not an MCAP file")
-            self._index = read_summary(file)
+            self._index = self._read_index(file)
             pairs = self._find_metadata(file, EPISODE_RECORD)
             if pairs is None:
                 raise LogError(f"no log of mapreplay: it has no metadata {EPISODE_RECORD!r}")
@@ -87,16 +116,17 @@ class EpisodeLog:
             self.header: Final = self._read_header(file, pairs)
             ending = self._find_metadata(file, OUTCOME_RECORD) if self._index else None
             self.summary: Final = None if ending is None else summary_of(ending)
-            """How the episode ended; None if the log is unfinished."""
+            """How the episode ended; None if the log is unfinished, with an `outcome` of None
+            if it was recovered."""
 
     @property
     def finished(self) -> bool:
         """Whether the log is whole: its last step was written, and nothing was cut off."""
-        return self.summary is not None
+        return self.outcome is not None
 
     @property
     def outcome(self) -> Outcome | None:
-        """How the episode ended; None if the log is unfinished."""
+        """How the episode ended; None if the log is unfinished, also if it was recovered."""
         return self.summary.outcome if self.summary else None
 
     @cached_property
@@ -113,7 +143,7 @@ class EpisodeLog:
         if self.summary:
             return self.summary.steps + 1
         with self._reading() as file:
-            return sum(1 for _ in _steps_of(_messages(file)))
+            return sum(1 for _ in _steps_of(_chunks(file), (), Channels()))
 
     def __iter__(self) -> Iterator[Step]:
         return self.steps()
@@ -124,15 +154,47 @@ class EpisodeLog:
         Raises:
             LogError: the file is damaged or can no longer be read.
         """
-        with self._reading() as file:
-            count = 0
-            for index, messages in _steps_of(_messages(file)):
-                if index != count:
-                    raise ValueError(f"step {count} is missing")
-                yield decode_step(messages, index, self.header)
-                count += 1
-            if self.summary and count != len(self):
-                raise ValueError(f"{count} steps, and not {len(self)}")
+        return self._decoded(
+            _STEP_TOPICS, lambda messages, index: decode_step(messages, index, self.header)
+        )
+
+    def steps_with_messages(self) -> Iterator[tuple[Step, Messages]]:
+        """All steps in order, each with the messages of all topics that it was read from.
+
+        Raises:
+            LogError: the file is damaged or can no longer be read.
+        """
+
+        def decode(messages: Messages, index: int) -> tuple[Step, Messages]:
+            return decode_step(messages, index, self.header), messages
+
+        return self._decoded(tuple(Topic), decode)
+
+    def maps(self, *names: str) -> Iterator[tuple[Grid | Quantized | None, ...]]:
+        """The named maps of all steps in order: arrays [H, W] that own their memory.
+
+        Nothing else is decoded; ``for observed, p_wall in log.maps("observed", "p_wall")``
+        is the quick way to the arrays.
+
+        Args:
+            names: Of "observed" and "fused" (int8), "p_wall" (as it was quantized, or None).
+
+        Raises:
+            LogError: the file is damaged or can no longer be read.
+            ValueError: there is no map of that name.
+        """
+        plan = self.header.floor_plan
+        topics = [MapName(name).topic for name in names]
+
+        def decode(messages: Messages, _: int) -> tuple[Grid | Quantized | None, ...]:
+            return tuple(
+                decode_prediction(messages, plan)
+                if topic is Topic.P_WALL
+                else decode_map(messages, topic, plan)
+                for topic in topics
+            )
+
+        return self._decoded(topics, decode)
 
     def __getitem__(self, index: int) -> Step:
         """Step `index`; negative ones count from the end. Finished logs are not read through.
@@ -145,8 +207,10 @@ class EpisodeLog:
         if not 0 <= k < len(self):
             raise IndexError(f"step {index} of {len(self)}")
         with self._reading() as file:
-            found = _messages(file) if self._index is None else _seek(file, self._index, k)
-            for step, messages in _steps_of(found):
+            found = self._index
+            chunks = _seek(file, found, k) if found else _chunks(file)
+            channels = found.channels if found else Channels()
+            for step, messages in _steps_of(chunks, _STEP_TOPICS, channels):
                 if step == k:
                     return decode_step(messages, k, self.header)
             raise ValueError(f"step {k} is missing")
@@ -159,30 +223,48 @@ class EpisodeLog:
         Raises:
             LogError: the file is damaged or can no longer be read.
         """
-        if not self.finished:
+        if self.summary is None:
             return table.table_of([table.row_of(step) for step in self.steps()])
         with self._reading() as file:
-            for attachment in make_reader(file).iter_attachments():
-                if attachment.name == table.ATTACHMENT:
-                    return table.from_parquet(attachment.data)
-            raise ValueError(f"it has no attachment {table.ATTACHMENT}")
+            offset = self._index.attachments.get(table.ATTACHMENT) if self._index else None
+            if offset is None:
+                raise ValueError(f"it has no attachment {table.ATTACHMENT}")
+            body = read_record(file, offset, Opcode.ATTACHMENT)
+            return table.from_parquet(read_attachment(body).data, rows=len(self))
+
+    def _decoded(
+        self, wanted: Collection[Topic], decode: Callable[[Messages, int], _T]
+    ) -> Iterator[_T]:
+        """What `decode` makes of the `wanted` messages of each step, and of its index."""
+        with self._reading() as file:
+            count = 0
+            for index, messages in _steps_of(_chunks(file), wanted, Channels()):
+                if index != count:
+                    raise ValueError(f"step {count} is missing")
+                yield decode(messages, index)
+                count += 1
+            if self.summary and count != len(self):
+                raise ValueError(f"{count} steps, and not {len(self)}")
+
+    def _read_index(self, file: BinaryIO) -> Index | None:
+        return read_index(file)
 
     def _find_metadata(self, file: BinaryIO, name: str) -> Pairs | None:
         if self._index:
-            offsets = [entry.offset for entry in self._index.metadata_indexes if entry.name == name]
-            if not offsets:
+            offset = self._index.metadata.get(name)
+            if offset is None:
                 return None
-            return read_metadata(read_record(file, offsets[0], Opcode.METADATA)).metadata
-        for record in read_records(file):
-            if record.opcode == Opcode.METADATA:
-                metadata = read_metadata(record.body)
-                if metadata.name == name:
-                    return metadata.metadata
+            return read_metadata(read_record(file, offset, Opcode.METADATA)).metadata
+        for count, record in enumerate(read_records(file, wanted={Opcode.METADATA})):
+            check_count("metadata records", count, MAX_NAMES)
+            metadata = read_metadata(record.body)
+            if metadata.name == name:
+                return metadata.metadata
         return None
 
     def _read_header(self, file: BinaryIO, pairs: Pairs) -> EpisodeHeader:
-        for topic, message in _messages(file):
-            if topic == Topic.TRUTH:
+        for records in islice(_chunks(file), 1):  # where the writer puts it
+            for message in unpack(records, Channels(), {Topic.TRUTH}):
                 resolution = float(pairs["resolution"])
                 plan = decode_truth(message.data, pairs["floor_plan_id"], resolution)
                 return header_of(pairs, plan)
@@ -207,41 +289,47 @@ class EpisodeLog:
             ) from None
 
 
+class SalvagedLog(EpisodeLog):
+    """A log read as if its index had been cut off: up to its first damaged chunk."""
+
+    def _read_index(self, file: BinaryIO) -> None:  # noqa: ARG002
+        return None
+
+
 class _StepMessages(NamedTuple):
     """The messages of one step."""
 
     step: int
-    by_topic: dict[str, list[bytes]]
+    by_topic: dict[str, list[memoryview]]
 
 
-def _messages(file: BinaryIO) -> Iterator[Unpacked]:
-    """All messages, in the order of the file."""
-    topics: dict[int, str] = {}
-    for record in read_records(file):
-        if record.opcode == Opcode.CHUNK:
-            yield from unpack(read_chunk(record.body), topics)
+def _chunks(file: BinaryIO) -> Iterator[bytes]:
+    """The records of all chunks."""
+    for record in read_records(file, wanted={Opcode.CHUNK}):
+        yield read_chunk(record.body)
 
 
-def _seek(file: BinaryIO, index: Summary, step: int) -> Iterator[Unpacked]:
-    """The messages of the chunks that `step` is in."""
-    stamp = FIRST_STAMP_NS + step * STEP_NS
-    topics = {channel.id: channel.topic for channel in index.channels.values()}
-    for chunk in index.chunk_indexes:
-        if chunk.message_start_time <= stamp <= chunk.message_end_time:
-            body = read_record(file, chunk.chunk_start_offset, Opcode.CHUNK)
-            yield from unpack(read_chunk(body), topics)
+def _seek(file: BinaryIO, index: Index, step: int) -> Iterator[bytes]:
+    """The records of the chunks that `step` is in."""
+    for chunk in index.chunks_at(FIRST_STAMP_NS + step * STEP_NS):
+        yield read_chunk(read_record(file, chunk.offset, Opcode.CHUNK))
 
 
-def _steps_of(messages: Iterator[Unpacked]) -> Iterator[_StepMessages]:
-    """Messages by step; a step without its last message was cut off and is left out."""
-    by_topic: dict[str, list[bytes]] = {}
-    for topic, message in messages:
-        if topic == Topic.TRUTH:
-            continue
-        by_topic.setdefault(topic, []).append(message.data)
-        if topic == Topic.METRICS:
-            yield _StepMessages(message.sequence, by_topic)
-            by_topic = {}
+def _steps_of(
+    chunks: Iterator[bytes], wanted: Collection[Topic], channels: Channels
+) -> Iterator[_StepMessages]:
+    """The `wanted` messages by step; a step without metrics was cut off and is left out.
+
+    All messages of a step are in one chunk, in any order. `channels` learns those that the
+    chunks declare.
+    """
+    for records in chunks:
+        steps: dict[int, dict[str, list[memoryview]]] = {}
+        for topic, step, data in unpack(records, channels, {*wanted, Topic.METRICS}):
+            steps.setdefault(step, {}).setdefault(topic, []).append(data)
+        for step in sorted(steps):
+            if Topic.METRICS in steps[step]:
+                yield _StepMessages(step, steps[step])
 
 
 def find_logs(paths: Sequence[Path]) -> list[Path]:

@@ -7,21 +7,22 @@ agent's cell. The sensor is fixed to the map frame, so the yaw between the two i
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
 from enum import StrEnum
+from operator import attrgetter
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from rosbags.typesys.stores import ros2_humble as ros
 
 from mapreplay.errors import LogError
 from mapreplay.floorplan import FloorPlan
-from mapreplay.grid import Cell, Grid, Origin, Quantized
+from mapreplay.grid import UNKNOWN, Cell, Grid, Origin, Quantized
 from mapreplay.mapping import dequantize
-from mapreplay.recorders.schemas import from_cdr, to_cdr, typestore
-from mapreplay.sensor import Sensor, hits_from_ranges, ranges
+from mapreplay.recorders import cdr
+from mapreplay.recorders.limits import check_count
+from mapreplay.sensor import Hits, Sensor, hits_from_ranges, ranges
 from mapreplay.step import (
     FIRST_STAMP_NS,
     STEP_NS,
@@ -89,6 +90,9 @@ class Encoded(NamedTuple):
     data: bytes
 
 
+Messages = Mapping[str, Sequence[cdr.Buffer]]
+"""The messages of one step, by topic."""
+
 _PACKED_TYPES: Final[dict[int, np.dtype[Any]]] = {
     1: np.dtype("<u1"),
     3: np.dtype("<u2"),
@@ -96,9 +100,11 @@ _PACKED_TYPES: Final[dict[int, np.dtype[Any]]] = {
 }
 """What a PackedElementField's type means, of those that a prediction may have."""
 
+_STAMP: Final = struct.Struct("<iI")
 _LEVELS: Final = {EventKind.SEALED_IN: 30}
 _INFO: Final = 20
-_NO_TURN: Final = ros.geometry_msgs__msg__Quaternion(0.0, 0.0, 0.0, 1.0)
+_scores_of: Final = attrgetter(*StepMetrics.names())
+_times_of: Final = attrgetter(*StepProfile.__dataclass_fields__)
 
 
 def encode_truth(plan: FloorPlan) -> Encoded:
@@ -109,88 +115,124 @@ def encode_truth(plan: FloorPlan) -> Encoded:
     return Encoded(Topic.TRUTH, _grid(plan.cells, plan, _stamp(FIRST_STAMP_NS)))
 
 
-def decode_truth(data: bytes, plan_id: str, resolution: float) -> FloorPlan:
+def decode_truth(data: cdr.Buffer, plan_id: str, resolution: float) -> FloorPlan:
     """The inverse of `encode_truth`.
 
     Raises:
         FloorPlanError: the cells, the resolution or the id make no floor plan.
-        ValueError: the bytes are not an OccupancyGrid.
+        ValueError, struct.error: the bytes are not an OccupancyGrid.
     """
-    grid: ros.nav_msgs__msg__OccupancyGrid = from_cdr(data, Topic.TRUTH.type_name)
-    corner = grid.info.origin.position
-    return FloorPlan(plan_id, _cells(grid), resolution, Origin(corner.x, corner.y))
+    info, cells = cdr.unpack_grid(data)
+    has_truth = bool((cells != UNKNOWN).any())
+    return FloorPlan(plan_id, cells, resolution, Origin(info.x, info.y), has_truth)
 
 
 def encode_step(step: Step, header: EpisodeHeader) -> Iterator[Encoded]:
     """All messages of a step, the metrics last; what a step does not have has no message."""
     plan, stamp = header.floor_plan, _stamp(step.stamp_ns)
-    yield _encode(Topic.TF, _transform(step.agent, plan, stamp))
-    yield _encode(Topic.POSE, _pose(step.agent, plan, stamp))
-    yield _encode(Topic.SCAN, _scan(step, header.sensor, plan.resolution))
+    x, y = _centre(step.agent, plan)
+    yield Encoded(Topic.TF, cdr.pack_transform(stamp, x, y))
+    yield Encoded(Topic.POSE, cdr.pack_pose(stamp, x, y))
+    if len(step.hits):
+        scan = _scan(step.hits, header.sensor, plan.resolution)
+        yield Encoded(Topic.SCAN, cdr.pack_scan(stamp, scan))
     yield Encoded(Topic.OBSERVED, _grid(step.observed, plan, stamp))
     if step.p_wall is not None:
-        percent = np.rint(100 * dequantize(step.p_wall)).astype(np.int8)
-        yield _encode(Topic.P_WALL, _packed_grid(step.p_wall, plan, stamp))
-        yield Encoded(Topic.PREDICTED, _grid(percent, plan, stamp))
+        yield Encoded(Topic.P_WALL, _packed_grid(step.p_wall, plan, stamp))
+        yield Encoded(Topic.PREDICTED, _grid(_preview(step.p_wall), plan, stamp))
     yield Encoded(Topic.FUSED, _grid(step.fused, plan, stamp))
-    yield _encode(Topic.FRONTIER, _grid_cells(step.frontier, plan, stamp))
+    frontier = _points(step.frontier, plan)
+    yield Encoded(Topic.FRONTIER, cdr.pack_grid_cells(stamp, plan.resolution, frontier))
     if step.decision is not None:
-        yield _encode(Topic.PLAN, _path(step.decision.path, plan, stamp))
-        yield _encode(Topic.DECISION, _decision(step.decision, stamp))
+        yield Encoded(Topic.PLAN, cdr.pack_path(stamp, _points(step.decision.path, plan)))
+        yield Encoded(Topic.DECISION, cdr.pack_decision(stamp, _choice(step.decision)))
     for event in step.events:
-        yield _encode(Topic.EVENTS, _log_line(event, stamp))
+        line = cdr.LogLine(_LEVELS.get(event.kind, _INFO), f"mapreplay.{event.kind}", event.text)
+        yield Encoded(Topic.EVENTS, cdr.pack_log(stamp, line))
     if step.profile is not None:
-        yield _encode(Topic.PROFILE, _own(Topic.PROFILE.type_name, stamp, **asdict(step.profile)))
+        yield Encoded(Topic.PROFILE, cdr.pack_profile(stamp, _times_of(step.profile)))
     outcome = str(step.outcome or "")
-    yield _encode(
-        Topic.METRICS,
-        _own(Topic.METRICS.type_name, stamp, outcome=outcome, **asdict(step.metrics)),
-    )
+    yield Encoded(Topic.METRICS, cdr.pack_metrics(stamp, outcome, _scores_of(step.metrics)))
 
 
-def decode_step(messages: Mapping[str, Sequence[bytes]], index: int, header: EpisodeHeader) -> Step:
-    """The inverse of `encode_step`; `messages` are those of one step, by topic.
+def decode_step(messages: Messages, index: int, header: EpisodeHeader) -> Step:
+    """The inverse of `encode_step`.
 
     Arrays own their memory. Topics that are not ours are ignored.
 
     Raises:
         KeyError: a message is missing.
-        ValueError: a message is not what its topic says, or does not fit the floor plan.
+        ValueError, struct.error: a message is not what its topic says, or does not fit the
+            floor plan.
     """
     plan = header.floor_plan
-
-    def first(topic: Topic) -> Any:
-        return from_cdr(messages[topic][0], topic.type_name)
-
-    pose: ros.geometry_msgs__msg__PoseStamped = first(Topic.POSE)
-    scan: ros.sensor_msgs__msg__LaserScan = first(Topic.SCAN)
-    frontier: ros.nav_msgs__msg__GridCells = first(Topic.FRONTIER)
-    metrics = first(Topic.METRICS)
-    (agent,) = _cells_at([pose.pose.position], plan).tolist()
-    decision = p_wall = profile = None
+    x, y = cdr.unpack_pose(messages[Topic.POSE][0])
+    row, col = _cells_in(np.array([[x, y, 0.0]]), plan)[0].tolist()
+    hits = np.empty(0, np.int16)
+    if Topic.SCAN in messages:
+        metres = cdr.unpack_ranges(messages[Topic.SCAN][0])
+        hits = hits_from_ranges(metres, header.sensor, plan.resolution)
+    outcome, scores = cdr.unpack_metrics(messages[Topic.METRICS][0], len(StepMetrics.names()))
+    decision = profile = None
     if Topic.DECISION in messages:
-        decision = _decision_of(first(Topic.DECISION), first(Topic.PLAN), plan)
-    if Topic.P_WALL in messages:
-        p_wall = _quantized(first(Topic.P_WALL), plan)
+        path = cdr.unpack_path(messages[Topic.PLAN][0])
+        choice = cdr.unpack_decision(messages[Topic.DECISION][0])
+        decision = _decision(choice, _cells_in(path, plan))
     if Topic.PROFILE in messages:
-        profile = _fields(StepProfile, first(Topic.PROFILE))
+        profile = StepProfile(*cdr.unpack_profile(messages[Topic.PROFILE][0]))
     return Step(
         index=index,
-        agent=Cell(*agent),
-        hits=hits_from_ranges(scan.ranges, header.sensor, plan.resolution),
-        observed=_map(first(Topic.OBSERVED), plan),
-        p_wall=p_wall,
-        fused=_map(first(Topic.FUSED), plan),
-        frontier=_cells_at(frontier.cells, plan),
+        agent=Cell(row, col),
+        hits=hits,
+        observed=decode_map(messages, Topic.OBSERVED, plan),
+        p_wall=decode_prediction(messages, plan),
+        fused=decode_map(messages, Topic.FUSED, plan),
+        frontier=_cells_in(cdr.unpack_grid_cells(messages[Topic.FRONTIER][0]), plan),
         decision=decision,
-        metrics=_fields(StepMetrics, metrics),
-        events=tuple(
-            _event(from_cdr(data, Topic.EVENTS.type_name))
-            for data in messages.get(Topic.EVENTS, ())
-        ),
-        outcome=Outcome(metrics.outcome) if metrics.outcome else None,
+        metrics=StepMetrics(*scores),
+        events=tuple(_event(cdr.unpack_log(data)) for data in messages.get(Topic.EVENTS, ())),
+        outcome=Outcome(outcome) if outcome else None,
         profile=profile,
     )
+
+
+def stamp_ns_of(topic: Topic, data: cdr.Buffer) -> int:
+    """The simulated time that a message on `topic` is stamped with, in nanoseconds.
+
+    Raises:
+        struct.error: the message is too short.
+    """
+    # A TFMessage begins with the number of its transforms.
+    stamp = cdr.Stamp(*_STAMP.unpack_from(data, 8 if topic is Topic.TF else 4))
+    return stamp.sec * 1_000_000_000 + stamp.nanosec
+
+
+def decode_map(messages: Messages, topic: Topic, plan: FloorPlan) -> Grid:
+    """int8[H, W]: the map on `topic`; it owns its memory.
+
+    Raises:
+        KeyError: there is none.
+        ValueError, struct.error: it is no map, or does not fit the floor plan.
+    """
+    _, cells = cdr.unpack_grid(messages[topic][0])
+    if cells.shape != plan.shape:
+        raise ValueError(f"a map of {cells.shape} cells on a floor plan of {plan.shape}")
+    return cells
+
+
+def decode_prediction(messages: Messages, plan: FloorPlan) -> Quantized | None:
+    """The prediction as it was used; it owns its memory. None if the step has none.
+
+    Raises:
+        KeyError: its cells are of an unknown type.
+        ValueError, struct.error: it is no prediction, or does not fit the floor plan.
+    """
+    if Topic.P_WALL not in messages:
+        return None
+    grid = cdr.unpack_packed_grid(messages[Topic.P_WALL][0])
+    packed = _PACKED_TYPES[grid.field_type]
+    cells: npt.NDArray[Any] = grid.data.view(packed).reshape(plan.shape)
+    return cells.astype(packed.newbyteorder("="), copy=False)
 
 
 def check_geometry(plan: FloorPlan) -> None:
@@ -210,221 +252,130 @@ def check_geometry(plan: FloorPlan) -> None:
         )
 
 
-def _encode(topic: Topic, message: object) -> Encoded:
-    return Encoded(topic, to_cdr(message, topic.type_name))
-
-
-def _own(type_name: str, stamp: ros.builtin_interfaces__msg__Time, **values: Any) -> object:
-    return typestore().types[type_name](header=_header(stamp), **values)
-
-
-def _fields(cls: Any, message: Any) -> Any:
-    """An instance of a dataclass whose fields a message has."""
-    return cls(*[getattr(message, name) for name in cls.__dataclass_fields__])
-
-
-def _stamp(nanoseconds: int) -> ros.builtin_interfaces__msg__Time:
-    return ros.builtin_interfaces__msg__Time(*divmod(nanoseconds, 1_000_000_000))
-
-
-def _header(
-    stamp: ros.builtin_interfaces__msg__Time, frame: str = "map"
-) -> ros.std_msgs__msg__Header:
-    return ros.std_msgs__msg__Header(stamp, frame)
+def _stamp(nanoseconds: int) -> cdr.Stamp:
+    return cdr.Stamp(*divmod(nanoseconds, 1_000_000_000))
 
 
 # Cells and metres
 
 
-def _points(cells: Cells, plan: FloorPlan) -> list[ros.geometry_msgs__msg__Point]:
-    x = plan.origin.x + (cells[:, 1] + 0.5) * plan.resolution
-    y = plan.origin.y + (cells[:, 0] + 0.5) * plan.resolution
-    pairs = zip(x.tolist(), y.tolist(), strict=True)
-    return [ros.geometry_msgs__msg__Point(*pair, 0.0) for pair in pairs]
+def _centre(cell: Cell, plan: FloorPlan) -> tuple[float, float]:
+    resolution = plan.resolution
+    return (
+        plan.origin.x + (cell.col + 0.5) * resolution,
+        plan.origin.y + (cell.row + 0.5) * resolution,
+    )
 
 
-def _cells_at(points: Sequence[ros.geometry_msgs__msg__Point], plan: FloorPlan) -> Cells:
+def _points(cells: Cells, plan: FloorPlan) -> cdr.Points:
+    points = np.zeros((len(cells), 3))
+    points[:, 0] = plan.origin.x + (cells[:, 1] + 0.5) * plan.resolution
+    points[:, 1] = plan.origin.y + (cells[:, 0] + 0.5) * plan.resolution
+    return points
+
+
+def _cells_at(points: cdr.Points, plan: FloorPlan) -> Cells:
     """int32[n, 2]: the cells whose centres are at `points`."""
-    metres = np.array([(p.y, p.x) for p in points], np.float64).reshape(-1, 2)
-    corner = (plan.origin.y, plan.origin.x)
-    return np.rint((metres - corner) / plan.resolution - 0.5).astype(np.int32)
+    metres = points[:, 1::-1] - (plan.origin.y, plan.origin.x)
+    return np.rint(metres / plan.resolution - 0.5).astype(np.int32)
 
 
-# The agent
+def _cells_in(points: cdr.Points, plan: FloorPlan) -> Cells:
+    """The same, of points that a file claims to be in the map.
+
+    Raises:
+        ValueError: they are not, or are more than the map has cells.
+    """
+    check_count(f"cells in a map of {plan.cells.size}", len(points), plan.cells.size)
+    low, high = np.array(plan.origin), plan.origin + plan.resolution * np.array(plan.shape[::-1])
+    if not ((low <= points[:, :2]) & (points[:, :2] <= high)).all():
+        raise ValueError("a cell outside of the map")
+    return _cells_at(points, plan)
 
 
-def _transform(
-    agent: Cell, plan: FloorPlan, stamp: ros.builtin_interfaces__msg__Time
-) -> ros.tf2_msgs__msg__TFMessage:
-    (point,) = _points(np.array([agent], np.int32), plan)
-    move = ros.geometry_msgs__msg__Transform(
-        ros.geometry_msgs__msg__Vector3(point.x, point.y, 0.0), _NO_TURN
-    )
-    return ros.tf2_msgs__msg__TFMessage(
-        [ros.geometry_msgs__msg__TransformStamped(_header(stamp), "base_link", move)]
-    )
-
-
-def _pose(
-    agent: Cell, plan: FloorPlan, stamp: ros.builtin_interfaces__msg__Time
-) -> ros.geometry_msgs__msg__PoseStamped:
-    (point,) = _points(np.array([agent], np.int32), plan)
-    return ros.geometry_msgs__msg__PoseStamped(
-        _header(stamp), ros.geometry_msgs__msg__Pose(point, _NO_TURN)
-    )
-
-
-def _scan(step: Step, sensor: Sensor, resolution: float) -> ros.sensor_msgs__msg__LaserScan:
-    angles = sensor.angles()
-    return ros.sensor_msgs__msg__LaserScan(
-        _header(_stamp(step.stamp_ns), "base_link"),
-        angle_min=angles[0],
-        angle_max=angles[-1],
-        angle_increment=2 * math.pi / sensor.rays,
+def _scan(hits: Hits, sensor: Sensor, resolution: float) -> cdr.Scan:
+    increment = 2 * math.pi / sensor.rays
+    return cdr.Scan(
+        angle_min=0.0,
+        angle_max=increment * (sensor.rays - 1),
+        angle_increment=increment,
         time_increment=0.0,
         scan_time=STEP_NS / 1e9,
         range_min=0.0,
         # The centre of the last cell of a ray may lie up to .71 cells further than `reach`.
         range_max=(sensor.reach + 1) * resolution,
-        ranges=ranges(step.hits, sensor, resolution),
-        intensities=np.empty(0, np.float32),
+        ranges=ranges(hits, sensor, resolution),
     )
 
 
 # Maps
 
 
-def _corner(plan: FloorPlan) -> ros.geometry_msgs__msg__Pose:
-    return ros.geometry_msgs__msg__Pose(ros.geometry_msgs__msg__Point(*plan.origin, 0.0), _NO_TURN)
+def _info(plan: FloorPlan) -> cdr.GridInfo:
+    height, width = plan.shape
+    return cdr.GridInfo(plan.resolution, width, height, *plan.origin)
 
 
-def _grid(cells: Grid, plan: FloorPlan, stamp: ros.builtin_interfaces__msg__Time) -> bytes:
-    height, width = cells.shape
-    message = ros.nav_msgs__msg__OccupancyGrid(
-        _header(stamp),
-        ros.nav_msgs__msg__MapMetaData(
-            _stamp(FIRST_STAMP_NS), plan.resolution, width, height, _corner(plan)
-        ),
-        cells.ravel(),
-    )
-    return to_cdr(message, message.__msgtype__)
+def _grid(cells: Grid, plan: FloorPlan, stamp: cdr.Stamp) -> bytes:
+    return cdr.pack_grid(stamp, _stamp(FIRST_STAMP_NS), _info(plan), cells)
 
 
-def _cells(grid: ros.nav_msgs__msg__OccupancyGrid) -> Grid:
-    return grid.data.reshape(grid.info.height, grid.info.width).copy()
-
-
-def _map(grid: ros.nav_msgs__msg__OccupancyGrid, plan: FloorPlan) -> Grid:
-    cells = _cells(grid)
-    if cells.shape != plan.shape:
-        raise ValueError(f"a map of {cells.shape} cells on a floor plan of {plan.shape}")
-    return cells
-
-
-def _packed_grid(
-    p_wall: Quantized, plan: FloorPlan, stamp: ros.builtin_interfaces__msg__Time
-) -> object:
-    types = typestore().types
+def _packed_grid(p_wall: Quantized, plan: FloorPlan, stamp: cdr.Stamp) -> bytes:
     (code,) = [code for code, dtype in _PACKED_TYPES.items() if dtype == p_wall.dtype]
-    size = p_wall.dtype.itemsize
-    data = np.frombuffer(p_wall.astype(_PACKED_TYPES[code]).tobytes(), np.uint8)
-    return types[Topic.P_WALL.type_name](
-        timestamp=stamp,
-        frame_id="map",
-        pose=_corner(plan),
-        column_count=p_wall.shape[1],
-        cell_size=types["foxglove_msgs/msg/Vector2"](x=plan.resolution, y=plan.resolution),
-        row_stride=p_wall.shape[1] * size,
-        cell_stride=size,
-        fields=[types["foxglove_msgs/msg/PackedElementField"](name="p_wall", offset=0, type=code)],
-        data=data,
-    )
+    return cdr.pack_packed_grid(stamp, _info(plan), code, p_wall.astype(_PACKED_TYPES[code]))
 
 
-def _quantized(grid: Any, plan: FloorPlan) -> Quantized:
-    (field,) = grid.fields
-    packed = _PACKED_TYPES[field.type]
-    cells: npt.NDArray[Any] = np.frombuffer(grid.data.tobytes(), packed).reshape(plan.shape)
-    return cells.astype(packed.newbyteorder("="))
+def _preview(p_wall: Quantized) -> Grid:
+    """int8[H, W]: 0, 10, ..., 100 percent.
+
+    Percents would take nearly as much of the file as the prediction itself.
+    """
+    if p_wall.dtype == np.uint8:
+        return _PREVIEW_OF_UINT8.take(p_wall.view(np.uint8))
+    return _in_tenths(p_wall)
+
+
+def _in_tenths(p_wall: Quantized) -> Grid:
+    return (10 * np.rint(10 * dequantize(p_wall))).astype(np.int8)
+
+
+_PREVIEW_OF_UINT8: Final = _in_tenths(np.arange(256, dtype=np.uint8))
 
 
 # What was decided
 
 
-def _grid_cells(
-    cells: Cells, plan: FloorPlan, stamp: ros.builtin_interfaces__msg__Time
-) -> ros.nav_msgs__msg__GridCells:
-    return ros.nav_msgs__msg__GridCells(
-        _header(stamp), plan.resolution, plan.resolution, _points(cells, plan)
-    )
-
-
-def _path(
-    cells: Cells, plan: FloorPlan, stamp: ros.builtin_interfaces__msg__Time
-) -> ros.nav_msgs__msg__Path:
-    header = _header(stamp)
-    poses = [
-        ros.geometry_msgs__msg__PoseStamped(header, ros.geometry_msgs__msg__Pose(point, _NO_TURN))
-        for point in _points(cells, plan)
-    ]
-    return ros.nav_msgs__msg__Path(header, poses)
-
-
-def _decision(decision: Decision, stamp: ros.builtin_interfaces__msg__Time) -> object:
-    return _own(
-        Topic.DECISION.type_name,
-        stamp,
+def _choice(decision: Decision) -> cdr.Choice:
+    return cdr.Choice(
         mode=str(decision.mode),
-        chosen=_candidate(decision.chosen),
-        rivals=[_candidate(rival) for rival in decision.rivals],
+        chosen=_rated(decision.chosen),
+        rivals=[_rated(rival) for rival in decision.rivals],
         is_random=decision.random_draw is not None,
         random_draw=decision.random_draw or 0,
     )
 
 
-def _decision_of(message: Any, plan_path: ros.nav_msgs__msg__Path, plan: FloorPlan) -> Decision:
+def _decision(choice: cdr.Choice, path: Cells) -> Decision:
     return Decision(
-        chosen=_candidate_of(message.chosen),
-        path=_cells_at([pose.pose.position for pose in plan_path.poses], plan),
-        mode=Mode(message.mode),
-        rivals=tuple(_candidate_of(rival) for rival in message.rivals),
-        random_draw=message.random_draw if message.is_random else None,
+        chosen=_candidate(choice.chosen),
+        path=path,
+        mode=Mode(choice.mode),
+        rivals=tuple(_candidate(rival) for rival in choice.rivals),
+        random_draw=choice.random_draw if choice.is_random else None,
     )
 
 
-def _candidate(candidate: Candidate) -> object:
-    return typestore().types["mapreplay_msgs/msg/Candidate"](
-        row=candidate.cell.row,
-        col=candidate.cell.col,
-        utility=candidate.utility,
-        reward=candidate.reward,
-        straight=candidate.straight,
-        diagonal=candidate.diagonal,
-        cost=candidate.cost,
-    )
+def _rated(c: Candidate) -> cdr.Rated:
+    return cdr.Rated(*c.cell, c.utility, c.reward, c.straight, c.diagonal, c.cost)
 
 
-def _candidate_of(message: Any) -> Candidate:
-    return Candidate(
-        Cell(message.row, message.col),
-        utility=message.utility,
-        reward=message.reward,
-        straight=message.straight,
-        diagonal=message.diagonal,
-    )
+def _candidate(rated: cdr.Rated) -> Candidate:
+    row, col, utility, reward, straight, diagonal, _ = rated
+    return Candidate(Cell(row, col), utility, reward, straight, diagonal)
 
 
 # What happened
 
 
-def _log_line(
-    event: Event, stamp: ros.builtin_interfaces__msg__Time
-) -> ros.rcl_interfaces__msg__Log:
-    level = _LEVELS.get(event.kind, _INFO)
-    return ros.rcl_interfaces__msg__Log(
-        stamp, level, f"mapreplay.{event.kind}", event.text, file="", function="", line=0
-    )
-
-
-def _event(line: ros.rcl_interfaces__msg__Log) -> Event:
-    return Event(EventKind(line.name.removeprefix("mapreplay.")), line.msg)
+def _event(line: cdr.LogLine) -> Event:
+    return Event(EventKind(line.name.removeprefix("mapreplay.")), line.text)

@@ -2,7 +2,8 @@
 
 ``mapreplay.episode`` is written first, so that unfinished files have it; it carries a
 checksum of its own, because MCAP's cover metadata only in finished files.
-``mapreplay.outcome`` is written last.
+``mapreplay.outcome`` is written last; its outcome is empty in a recovered log, whose end is
+lost (see `mapreplay.recorders.recover`).
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from mapreplay.config import EpisodeConfig, describe
 from mapreplay.errors import LogError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.grid import Cell
-from mapreplay.step import EpisodeHeader, Outcome, PredictorIdentity
+from mapreplay.recorders.limits import MAX_STEPS
+from mapreplay.step import OURS, EpisodeHeader, Outcome, PredictorIdentity
 
 FORMAT_VERSION: Final = 1
 EPISODE_RECORD: Final = "mapreplay.episode"
@@ -32,9 +34,10 @@ Pairs = Mapping[str, str]
 class EpisodeSummary:
     """How an episode ended."""
 
-    outcome: Outcome
+    outcome: Outcome | None
+    """None in a recovered log, whose end is lost."""
     steps: int
-    """Moves made: the index of the last step."""
+    """Moves made: the index of the last step that there is."""
     mapping_time: int | None
     """The first step at which the coverage of the built map reached the target."""
     correct_time: int | None
@@ -58,6 +61,7 @@ def episode_pairs(header: EpisodeHeader) -> dict[str, str]:
         "predictor_sha256": header.predictor.sha256,
         "seed": str(header.config.seed),
         "versions": json.dumps(dict(header.versions)),
+        "simulator": header.simulator,
     }
     return pairs | {"crc32": _crc(pairs)}
 
@@ -90,7 +94,7 @@ def header_of(pairs: Pairs, floor_plan: FloorPlan) -> EpisodeHeader:
     try:
         config = EpisodeConfig.model_validate_json(pairs["config"])
     except ValidationError as error:
-        raise LogError(f"its configuration: {describe(error)}") from None
+        raise LogError(f"its configuration: {describe(error)[:200]}") from None
     if floor_plan.sha256 != pairs["floor_plan_sha256"]:
         raise ValueError("the true map is not the one that the metadata names")
     row, col = json.loads(pairs["start"])
@@ -101,6 +105,7 @@ def header_of(pairs: Pairs, floor_plan: FloorPlan) -> EpisodeHeader:
         max_steps=int(pairs["max_steps"]),
         predictor=PredictorIdentity(pairs["predictor"], pairs["predictor_sha256"]),
         versions=tuple(json.loads(pairs["versions"]).items()),
+        simulator=pairs.get("simulator", OURS),
     )
 
 
@@ -108,7 +113,7 @@ def outcome_pairs(summary: EpisodeSummary) -> dict[str, str]:
     """The record ``mapreplay.outcome``; what was never reached is empty."""
     mapping, correct = summary.mapping_time, summary.correct_time
     return {
-        "outcome": str(summary.outcome),
+        "outcome": str(summary.outcome or ""),
         "steps": str(summary.steps),
         "mapping_time": "" if mapping is None else str(mapping),
         "correct_time": "" if correct is None else str(correct),
@@ -122,9 +127,12 @@ def summary_of(pairs: Pairs) -> EpisodeSummary:
     Raises:
         KeyError, ValueError: the record is damaged.
     """
+    steps = int(pairs["steps"])
+    if not 0 <= steps < MAX_STEPS:
+        raise ValueError(f"{steps} steps; at most {MAX_STEPS} are allowed")
     return EpisodeSummary(
-        outcome=Outcome(pairs["outcome"]),
-        steps=int(pairs["steps"]),
+        outcome=Outcome(pairs["outcome"]) if pairs["outcome"] else None,
+        steps=steps,
         mapping_time=int(pairs["mapping_time"]) if pairs["mapping_time"] else None,
         correct_time=int(pairs["correct_time"]) if pairs["correct_time"] else None,
         path_length=float(pairs["path_length"]),

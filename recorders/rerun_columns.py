@@ -230,13 +230,15 @@ def display_probability(p_wall: Quantized) -> npt.NDArray[np.uint8]:
 def ray_strips(step: Step, header: EpisodeHeader) -> Points:
     """float32[rays, 2, 2]: each ray from the agent to the centre of the last cell it marked.
 
-    That is where it hit, or the end of its range or of the grid.
+    That is where it hit, or the end of its range or of the grid. Without a scan all have no
+    length.
     """
     height, width = header.floor_plan.shape
     sensor = header.sensor
     cells = np.asarray(step.agent) + sensor.offsets
     inside = ((cells >= 0) & (cells < (height, width))).all(axis=2)
-    reached = np.where(step.hits > 0, step.hits, inside.sum(axis=1))
+    hits = step.hits if len(step.hits) else np.zeros(sensor.rays, np.int16)
+    reached = np.where(hits > 0, hits, inside.sum(axis=1) if len(step.hits) else 0)
     ends = cells[np.arange(sensor.rays), reached - 1]
     ends[reached == 0] = step.agent
     starts = np.broadcast_to(np.asarray(step.agent), ends.shape)

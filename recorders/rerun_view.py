@@ -50,6 +50,8 @@ def save_rrd(
 ) -> None:
     """Write an episode with its layout to an .rrd file, whole or not at all.
 
+    All that is written, which is compressed, is in memory at one time.
+
     Raises:
         LogError: the file is there and `force` is not given, or it cannot be written.
     """
@@ -57,11 +59,11 @@ def save_rrd(
         raise LogError(f"{path}: already there; use --force to overwrite it")
     part = path.with_name(path.name + ".part")
     try:
-        part.write_bytes(b"")  # Rerun would not say why a file cannot be opened
+        part.write_bytes(b"")  # before all the work
     except OSError as error:
         raise LogError(f"{path}: cannot be written ({error.strerror})") from None
     try:
-        _show(header, steps, lambda recording, blueprint: recording.save(part, blueprint))
+        part.write_bytes(_encoded(header, steps))
         part.replace(path)
     except OSError as error:
         raise LogError(f"{path}: cannot be written ({error.strerror})") from None
@@ -258,6 +260,19 @@ def _show(header: EpisodeHeader, steps: Iterable[Step], sink: Sink) -> None:
         sink(recording, layout(header))
         send_episode(recording, header, steps)
         recording.flush(timeout_sec=_FLUSH_SECONDS)
+    finally:
+        recording.disconnect()
+
+
+def _encoded(header: EpisodeHeader, steps: Iterable[Step]) -> bytes:
+    """What an .rrd file contains. To let Rerun write it would wait for ever on a full disk."""
+    recording = _new_recording(header)
+    try:
+        stream = rr.binary_stream(recording)
+        recording.send_blueprint(layout(header))
+        send_episode(recording, header, steps)
+        # One read: each adds an index of its own to the end, and a file has one.
+        return stream.read(flush_timeout_sec=_FLUSH_SECONDS) or b""
     finally:
         recording.disconnect()
 

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from functools import cache
 from importlib.resources import files
-from typing import Any, Final
+from typing import Final
 
-from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -39,6 +38,7 @@ def typestore() -> Typestore:
     return store
 
 
+@cache
 def schema_text(type_name: str) -> str:
     """The definition of a type, followed by those of all types that it contains.
 
@@ -53,20 +53,3 @@ def schema_text(type_name: str) -> str:
         package, _, name = title.removeprefix("MSG: ").partition("/")
         parts.append(f"{title}\n{own.get(f'{package}/msg/{name}', body)}")
     return _SEPARATOR.join(parts)
-
-
-def to_cdr(message: object, type_name: str) -> bytes:
-    """Serialize, little-endian."""
-    return bytes(typestore().serialize_cdr(message, type_name, little_endian=True))
-
-
-def from_cdr(data: bytes, type_name: str) -> Any:
-    """The message in `data`, an instance of rosbags' class for that type.
-
-    Raises:
-        ValueError: the bytes are not such a message.
-    """
-    try:
-        return typestore().deserialize_cdr(data, type_name)
-    except SerdeError as error:
-        raise ValueError(str(error)) from None

@@ -10,6 +10,8 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final, TypeAlias
 
+from mapreplay.recorders.limits import MAX_ROW_BYTES, TABLE_BYTES
+from mapreplay.recorders.parquet import check_pages
 from mapreplay.step import Step, StepMetrics
 
 if TYPE_CHECKING:
@@ -54,19 +56,24 @@ def table_of(rows: Sequence[Row]) -> pl.DataFrame:
 def to_parquet(table: pl.DataFrame) -> bytes:
     """The table as a Parquet file."""
     file = io.BytesIO()
-    table.write_parquet(file, compression="zstd")
+    table.write_parquet(file, compression="zstd", compression_level=9, statistics=False)
     return file.getvalue()
 
 
-def from_parquet(data: bytes) -> pl.DataFrame:
-    """The inverse of `to_parquet`.
+def from_parquet(data: bytes, rows: int) -> pl.DataFrame:
+    """The inverse of `to_parquet`, for a table of `rows` rows.
 
     Raises:
-        ValueError: the bytes are not a Parquet file.
+        ValueError, LookupError, TypeError: the bytes are not a Parquet file of that many rows
+            with our columns, or unpack to more than those need.
     """
     import polars as pl
 
+    check_pages(data, rows, TABLE_BYTES + rows * MAX_ROW_BYTES)
     try:
-        return pl.read_parquet(io.BytesIO(data))
+        table = pl.read_parquet(io.BytesIO(data))
     except pl.exceptions.PolarsError as error:
         raise ValueError(f"{ATTACHMENT}: {error}") from None
+    if table.schema != table_of([]).schema:
+        raise ValueError(f"{ATTACHMENT} has other columns than a table of steps")
+    return table

@@ -5,15 +5,15 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO, Final, Literal, Self
-
-from mcap.writer import Writer
+from typing import BinaryIO, Final, Self
 
 from mapreplay.errors import LogError
 from mapreplay.recorders import table
+from mapreplay.recorders.container_writer import ContainerWriter
+from mapreplay.recorders.limits import MAX_STEP_BYTES, MAX_STEPS
+from mapreplay.recorders.locking import is_at, is_locked, lock, move
 from mapreplay.recorders.messages import (
     Encoded,
     Topic,
@@ -29,7 +29,7 @@ from mapreplay.recorders.metadata import (
     outcome_pairs,
 )
 from mapreplay.recorders.schemas import MESSAGE_ENCODING, SCHEMA_ENCODING, schema_text
-from mapreplay.step import FIRST_STAMP_NS, EpisodeHeader, Step
+from mapreplay.step import FIRST_STAMP_NS, EpisodeHeader, Outcome, Step
 
 STEPS_A_CHUNK: Final = 20
 """What a kill may cost at most."""
@@ -42,7 +42,8 @@ class EpisodeWriter:
 
     The file is ``<path>.part`` until the step with the outcome was written and the writer is
     closed; then it becomes `path` in one move. After an error it stays ``.part``, with all
-    steps that were written, and can be read.
+    steps that were written, and can be read. Every `STEPS_A_CHUNK` steps it is pushed to the
+    disk: a kill or a power cut costs the steps after that. It is locked while it is written.
     """
 
     def __init__(
@@ -57,8 +58,9 @@ class EpisodeWriter:
             force: Overwrite `path` and ``<path>.part``.
 
         Raises:
-            LogError: there is such a file already, or it cannot be written; or cells of this
-                resolution and origin cannot be told from their metres.
+            LogError: there is such a file already, or another process writes it (also with
+                `force`), or it cannot be written; or cells of this resolution and origin
+                cannot be told from their metres.
         """
         if path.suffix != ".mcap":
             raise LogError(f"{path}: the name of a log ends in .mcap")
@@ -69,15 +71,12 @@ class EpisodeWriter:
         self._force = force
         self._tally = _Tally(header)
         self._channels: dict[Topic, int] = {}
-        self._schemas: dict[str, int] = {}
         self._pending_bytes = 0
         check_geometry(header.floor_plan)
         self._refuse_overwriting()
-        self._file = _create(self.part, "wb" if force else "xb")
-        # Chunks are closed by `_flush`, between steps: mcap must not do it earlier.
-        self._mcap = Writer(self._file, chunk_size=1 << 62, enable_data_crcs=True)
+        self._file = _create(self.part, force=force)
         with self._writing():
-            self._mcap.start(profile="ros2", library="mapreplay")
+            self._mcap = ContainerWriter(self._file, profile="ros2", library="mapreplay")
             self._mcap.add_metadata(EPISODE_RECORD, episode_pairs(header))
             self._add(encode_truth(header.floor_plan), FIRST_STAMP_NS, 0)
             self._flush()
@@ -102,12 +101,24 @@ class EpisodeWriter:
         """Append a step.
 
         Raises:
-            LogError: the file cannot be written.
+            LogError: the file cannot be written, or a log with this step could not be read
+                back (`mapreplay.recorders.limits`).
             ValueError: `step` does not follow the last one.
         """
+        if step.index >= MAX_STEPS:
+            raise LogError(f"{self.part}: a log has at most {MAX_STEPS} steps")
         self._tally.add(step)
-        kept = step if self._profile else replace(step, profile=None)
-        messages = list(encode_step(kept, self._header))
+        messages = [
+            message
+            for message in encode_step(step, self._header)
+            if self._profile or message.topic is not Topic.PROFILE
+        ]
+        size = sum(len(message.data) for message in messages)
+        if size > MAX_STEP_BYTES:
+            raise LogError(
+                f"{self.part}: step {step.index} has {size} bytes; at most {MAX_STEP_BYTES} can "
+                "be read back"
+            )
         with self._writing():
             for message in messages:
                 self._add(message, step.stamp_ns, step.index)
@@ -123,21 +134,33 @@ class EpisodeWriter:
         """
         if self._file.closed:
             return
-        summary = self._tally.summary
-        if summary is None:
+        if self._tally.ended:
+            self._finish()
+        else:
             self._keep_part()
-            return
+
+    def close_recovered(self) -> None:
+        """Finish a log of which the end is lost: its outcome stays unknown.
+
+        Raises:
+            LogError: as for `close`.
+            ValueError: no step was written.
+        """
+        if not self._tally.rows:
+            raise ValueError("a log without steps cannot be finished")
+        self._finish()
+
+    def _finish(self) -> None:
+        summary = self._tally.summary()
         with self._writing():
             self._flush()
             parquet = table.to_parquet(table.table_of(self._tally.rows))
-            self._mcap.add_attachment(0, 0, table.ATTACHMENT, table.MEDIA_TYPE, parquet)
+            self._mcap.add_attachment(table.ATTACHMENT, table.MEDIA_TYPE, parquet)
             self._mcap.add_metadata(OUTCOME_RECORD, outcome_pairs(summary))
-            self._mcap.finish()  # type: ignore[no-untyped-call]
-            self._file.flush()
-            os.fsync(self._file.fileno())
-            self._file.close()
+            self._mcap.finish()
+            self._sync()
             self._refuse_overwriting()
-            self.part.replace(self.path)
+            move(self._file, self.part, self.path)
             _sync_folder(self.path.parent)
 
     def _keep_part(self) -> None:
@@ -148,22 +171,23 @@ class EpisodeWriter:
             self._file.close()
 
     def _flush(self) -> None:
-        self._mcap.flush()  # type: ignore[no-untyped-call]
+        self._mcap.flush()
+        self._sync()
         self._pending_bytes = 0
+
+    def _sync(self) -> None:
+        self._file.flush()
+        os.fsync(self._file.fileno())
 
     def _add(self, message: Encoded, stamp_ns: int, sequence: int) -> None:
         channel = self._channels.get(message.topic) or self._declare(message.topic)
-        self._mcap.add_message(channel, stamp_ns, message.data, stamp_ns, sequence)
+        self._mcap.add_message(channel, sequence, stamp_ns, message.data)
         self._pending_bytes += len(message.data)
 
     def _declare(self, topic: Topic) -> int:
         name = topic.type_name
-        if name not in self._schemas:
-            self._schemas[name] = self._mcap.register_schema(
-                name, SCHEMA_ENCODING, schema_text(name).encode()
-            )
-        self._channels[topic] = self._mcap.register_channel(
-            topic, MESSAGE_ENCODING, self._schemas[name], {"offered_qos_profiles": ""}
+        self._channels[topic] = self._mcap.add_channel(
+            topic, MESSAGE_ENCODING, name, SCHEMA_ENCODING, schema_text(name)
         )
         return self._channels[topic]
 
@@ -180,6 +204,9 @@ class EpisodeWriter:
             with suppress(OSError):  # what is still buffered cannot be written either
                 self._file.close()
             raise _cannot_write(self.part, error) from None
+        except LogError:
+            self._file.close()
+            raise
 
 
 class _Tally:
@@ -187,10 +214,16 @@ class _Tally:
 
     def __init__(self, header: EpisodeHeader) -> None:
         self.rows: list[table.Row] = []
-        self.summary: EpisodeSummary | None = None
         self._config = header.config
+        self._outcome: Outcome | None = None
         self._mapping_time: int | None = None
         self._correct_time: int | None = None
+        self._path_length = 0.0
+
+    @property
+    def ended(self) -> bool:
+        """Whether the last step of the episode was counted."""
+        return self._outcome is not None
 
     def add(self, step: Step) -> None:
         """Count a step.
@@ -198,7 +231,7 @@ class _Tally:
         Raises:
             ValueError: it is not the next one.
         """
-        if self.summary is not None or step.index != len(self.rows):
+        if self.ended or step.index != len(self.rows):
             raise ValueError(f"step {step.index} does not follow {len(self.rows)} steps")
         self.rows.append(table.row_of(step))
         metrics, config = step.metrics, self._config
@@ -207,30 +240,54 @@ class _Tally:
         correct = metrics.correct_coverage(config.build)
         if self._correct_time is None and correct >= config.correct_coverage:
             self._correct_time = step.index
-        if step.outcome is not None:
-            self.summary = EpisodeSummary(
-                step.outcome,
-                step.index,
-                self._mapping_time,
-                self._correct_time,
-                metrics.path_length,
-            )
+        self._path_length = metrics.path_length
+        self._outcome = step.outcome
+
+    def summary(self) -> EpisodeSummary:
+        """How the episode ended, as far as that was counted."""
+        return EpisodeSummary(
+            self._outcome,
+            len(self.rows) - 1,
+            self._mapping_time,
+            self._correct_time,
+            self._path_length,
+        )
 
 
-def _create(part: Path, mode: Literal["wb", "xb"]) -> BinaryIO:
+def _create(part: Path, *, force: bool) -> BinaryIO:
+    """The new file, empty and locked."""
     try:
         part.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise _cannot_write(part, error) from None
     try:
-        return part.open(mode)
+        # What is there is truncated only under the lock.
+        file = part.open("ab" if force else "xb")
     except FileExistsError:
+        if is_locked(part):
+            raise _is_being_written(part) from None
         raise LogError(
-            f"{part}: exists; it is being written, or was interrupted: move it away, or "
-            "overwrite it with --force"
+            f"{part}: exists; an interrupted recording left it: save it with `mapreplay "
+            "recover`, move it away, or overwrite it with --force"
         ) from None
     except OSError as error:
         raise _cannot_write(part, error) from None
+    try:
+        if not lock(file) or not is_at(file, part):
+            raise _is_being_written(part)
+        file.truncate(0)
+        file.seek(0)
+    except OSError as error:
+        file.close()
+        raise _cannot_write(part, error) from None
+    except LogError:
+        file.close()
+        raise
+    return file
+
+
+def _is_being_written(part: Path) -> LogError:
+    return LogError(f"{part}: another process is writing it; choose another name, or wait")
 
 
 def _cannot_write(path: Path, error: OSError) -> LogError:

@@ -18,8 +18,10 @@ from mapreplay.cli.floorplans import floorplans
 from mapreplay.cli.info import info
 from mapreplay.cli.ls import ls
 from mapreplay.cli.metrics import metrics
+from mapreplay.cli.recover import recover
 from mapreplay.cli.run import run
 from mapreplay.cli.train import train
+from mapreplay.cli.verify import verify
 from mapreplay.cli.view import view
 from mapreplay.errors import MapreplayError
 
@@ -52,7 +54,7 @@ def _mapreplay(
     """Record, replay and analyse agents that map floor plans with a learned map predictor."""
 
 
-for _verb in (run, view, ls, info, metrics, export, floorplans, train):
+for _verb in (run, view, ls, info, metrics, recover, export, floorplans, train, verify):
     app.command()(_verb)
 app.add_typer(bench_app, name="bench")
 

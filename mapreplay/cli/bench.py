@@ -1,4 +1,4 @@
-"""`mapreplay bench`: how fast the simulator is, and what a predictor is worth."""
+"""`mapreplay bench`: how fast simulator and log are, and what a predictor is worth."""
 
 from __future__ import annotations
 
@@ -84,6 +84,50 @@ def worth(
         f"reduction {mean.mean:.1%}, 95 % interval {mean.low:.1%} to {mean.high:.1%}, "
         f"{mean.plans} floor plans"
     )
+
+
+@bench_app.command()
+def log(
+    floorplans: SpecOption = "procedural:60000-60099",
+    ids: IdsOption = None,
+    steps: Annotated[int, typer.Option(min=2, help="At most so many steps an episode.")] = 300,
+    rounds: Annotated[int, typer.Option(min=1, help="Repetitions; medians are printed.")] = 9,
+    predictor: Annotated[str, typer.Option(help="blur (a cheap one), or a name or file.")] = "blur",
+    folder: Annotated[
+        Path | None,
+        typer.Option(
+            exists=True, file_okay=False, help="Write here; one in memory leaves the disk out."
+        ),
+    ] = None,
+    form: FormatOption = Format.TABLE,
+) -> None:
+    """Recording, reading and size of a log against other libraries, on one floor plan and four.
+
+    Recording is timed between opening and closing the file; ours includes pushing it to the
+    disk every 20 steps. Reading is timed from opening to the last array, ours with all checks.
+    `ours` is our value divided by that of the line: below 1 we are better.
+    """
+    import polars as pl
+
+    from mapreplay.analysis.benchmark_log import four_in_a_square, measure_log, simulate
+
+    plans = list(_plans(floorplans, ids, 4))
+    if not plans:
+        raise FloorPlanError(f"{floorplans}: no floor plan to measure on")
+    places = plans[:1]
+    if len(plans) == 4 and len({plan.shape for plan in plans}) == 1:
+        places.append(four_in_a_square(plans))
+    else:
+        note("the larger map is left out: it takes four floor plans of one size")
+    rows = []
+    for place in places:
+        run = simulate(place, predictor, steps)
+        height, width = place.shape
+        data = f"{height} x {width}, {len(run.steps)} steps, {predictor}"
+        rows += [{"data": data, **asdict(line)} for line in measure_log(run, rounds, folder)]
+    for how in sorted({row["how"] for row in rows if row["value"] is None}):
+        note(f"not installed: {how.partition(',')[0]}")
+    emit(pl.DataFrame(rows), "mapreplay.bench.log/1", form)
 
 
 def _plans(spec: str, ids: Path | None, limit: int) -> Iterator[FloorPlan]:

@@ -36,9 +36,11 @@ def info(
         ("floor plan", "cells", f"{plan.shape[0]} x {plan.shape[1]}"),
         ("floor plan", "resolution", f"{plan.resolution} m a cell"),
         ("floor plan", "explorable cells", int(opened.explorable.sum())),
+        ("floor plan", "true map", "known" if plan.has_truth else "not known"),
         ("floor plan", "sha256", plan.sha256),
         ("agent", "start", "row {}, col {}".format(*header.start)),
         ("agent", "budget", f"{header.max_steps} steps"),
+        ("agent", "simulator", header.simulator),
         ("predictor", "name", header.predictor.name),
         ("predictor", "sha256", header.predictor.sha256 or "-"),
     ]
@@ -64,7 +66,9 @@ def info(
         {
             "of": [of for of, _, _ in facts],
             "what": [what for _, what, _ in facts],
-            "value": ["-" if value is None else str(value) for _, _, value in facts],
+            "value": [
+                "-" if value is None or value != value else str(value) for _, _, value in facts
+            ],
         }
     )
     emit(frame, "mapreplay.info/1", form, output, force=force)

@@ -13,6 +13,7 @@ from mapreplay.errors import FloorPlanError, MapreplayError, UsageError
 
 if TYPE_CHECKING:
     from mapreplay.config import RunConfig
+    from mapreplay.predictors import Predictor
     from mapreplay.recorders.batch import Task
 
 LOST = 3
@@ -84,6 +85,9 @@ def run(
     out: Annotated[
         Path | None, typer.Option(help="Folder for the logs (default runs/<date-time>).")
     ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Skip the episodes that are finished in --out.")
+    ] = False,
     view: Annotated[bool, typer.Option("--view", help="Watch the episode live in Rerun.")] = False,
     form: FormatOption = Format.TABLE,
     force: ForceOption = False,
@@ -101,25 +105,32 @@ def run(
         "jobs": jobs, "device": device, "profile": profile, "out": out,
     }  # fmt: skip
     settings = _settings(config, {key: value for key, value in given.items() if value is not None})
+    if resume and settings.out is None:
+        raise UsageError("run --resume: name the folder of the stopped run with --out")
     folder = settings.out or Path("runs") / datetime.now().strftime("%Y%m%d-%H%M%S")
     tasks, lost = _plan_tasks(settings, folder, force=force)
     if not tasks:
         raise FloorPlanError(f"{settings.floorplans}: no floor plan is left to run on")
     # Refuse an unknown or broken planner or predictor before anything runs.
     load_planner(tasks[0].config.planner)
-    load_predictor(tasks[0].config.predictor, settings.device)
+    loaded = load_predictor(tasks[0].config.predictor, settings.device)
+    finished: list[Path] = []
+    if resume:
+        finished, tasks = _skip_finished(tasks, loaded)
     folder = _make_folder(folder)
     try:
         done = _watch(tasks) if view else _record(tasks, settings.jobs)
     except KeyboardInterrupt:
-        note(f"{folder}: what was being recorded stays readable as .part")
+        note(f"{folder}: what was being recorded stays readable as .part; {_go_on(folder)}")
         raise
-    if done:
-        _print_results(sorted(done), form)
+    logs = sorted(finished + done)
+    if logs:
+        _print_results(logs, form)
         note(f"logs: {folder}")
-        note(f"next: mapreplay view {sorted(done)[0]}")
+        note(f"next: mapreplay view {logs[0]}")
     failed = len(tasks) - len(done)
     if failed:
+        note(f"{failed} of {len(tasks)} episodes failed; {_go_on(folder)}")
         raise typer.Exit(1)
     if lost:
         raise typer.Exit(LOST)
@@ -174,6 +185,19 @@ def _plan_tasks(settings: RunConfig, folder: Path, *, force: bool) -> tuple[list
             )
     tasks.sort(key=lambda task: task.config.seed)
     return tasks[: settings.episodes], refused + len(selection.missing)
+
+
+def _skip_finished(tasks: list[Task], predictor: Predictor) -> tuple[list[Path], list[Task]]:
+    """The logs that are finished, and the episodes that are left."""
+    from mapreplay.recorders.resume import resume
+
+    resumption = resume(tasks, predictor)
+    note(f"{len(resumption.finished)} of {len(tasks)} episodes are finished already")
+    return resumption.finished, resumption.tasks
+
+
+def _go_on(folder: Path) -> str:
+    return f"to go on, repeat the command with --resume --out {folder}"
 
 
 def _make_folder(folder: Path) -> Path:

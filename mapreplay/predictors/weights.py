@@ -75,4 +75,5 @@ def load_tensors(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
     except OSError as error:
         raise WeightsError(f"{path}: cannot be read ({error.strerror or error})") from None
     except (SafetensorError, ValueError) as error:
-        raise WeightsError(f"{path}: not a safetensors file ({error})") from None
+        reason = " ".join(str(error).split())[:120]
+        raise WeightsError(f"{path}: not a safetensors file ({reason})") from None

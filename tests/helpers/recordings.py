@@ -34,6 +34,22 @@ THREE_ROOMS = """
 """
 
 
+TWO_ROOMS = """
+    ############
+    #....#.....#
+    #....#.....#
+    #..........#
+    #....#.....#
+    ##.#########
+    #..........#
+    #...#......#
+    #...#......#
+    #...#......#
+    #..........#
+    ############
+"""
+
+
 @dataclass(frozen=True)
 class BlurPredictor:
     """Walls are where walls are near: a blur of what was observed."""
@@ -63,6 +79,16 @@ def three_rooms(**config: object) -> Episode:
         plan(THREE_ROOMS, "three-rooms", resolution=0.2),
         planner=RandomExploration(),
         predictor=BlurPredictor() if blurred else NoPredictor(),
+    )
+
+
+def two_rooms() -> Episode:
+    """Eight moves in a map of 12 x 12 cells, with a prediction."""
+    return prepare_episode(
+        EpisodeConfig.of({"planner": "random", "reach": 4, "max_steps": 8, "seed": 3}),
+        plan(TWO_ROOMS, "two-rooms"),
+        planner=RandomExploration(),
+        predictor=BlurPredictor(),
     )
 
 

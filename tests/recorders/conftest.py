@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from mapreplay.recorders.writer import EpisodeWriter
-from recordings import Recorded, record, three_rooms
+from recordings import Recorded, record, three_rooms, two_rooms
 
 
 @pytest.fixture(scope="session")
@@ -21,6 +21,14 @@ def unpredicted(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     """A finished log without a prediction."""
     episode = three_rooms(plan_on="observed", build="observed")
     return record(tmp_path_factory.mktemp("log"), episode)
+
+
+@pytest.fixture(scope="session")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+    """A finished log of a small map: nine steps in chunks of two, some with events."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("mapreplay.recorders.writer.STEPS_A_CHUNK", 2)
+        return record(tmp_path_factory.mktemp("log"), two_rooms())
 
 
 @pytest.fixture

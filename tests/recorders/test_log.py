@@ -151,9 +151,9 @@ def test_the_table_of_an_unfinished_log_has_the_same_schema(
 def test_steps_are_read_chunk_by_chunk(blurred: Recorded, monkeypatch: pytest.MonkeyPatch) -> None:
     opened = []
 
-    def counting(body: bytes) -> list[object]:
+    def counting(body: bytes) -> bytes:
         opened.append(len(body))
-        return list(read_chunk(body))
+        return read_chunk(body)
 
     read_chunk = log_module.read_chunk
     log = EpisodeLog(blurred.path)
@@ -236,3 +236,24 @@ def test_nothing_found_is_an_error(folder: Path, name: str) -> None:
     (folder / "empty").mkdir()
     with pytest.raises(LogError, match=r"no such file|no \.mcap"):
         find_logs([folder / "a.mcap", folder / name])
+
+
+def test_maps_are_those_of_the_steps(blurred: Recorded) -> None:
+    found = list(EpisodeLog(blurred.path).maps("p_wall", "observed"))
+    assert len(found) == len(blurred.steps)
+    for (p_wall, observed), step in zip(found, blurred.steps, strict=True):
+        assert p_wall is not None
+        assert step.p_wall is not None
+        assert np.array_equal(p_wall, step.p_wall)
+        assert np.array_equal(observed, step.observed)
+
+
+def test_maps_of_a_log_without_a_prediction(unpredicted: Recorded) -> None:
+    fused, p_wall = next(EpisodeLog(unpredicted.path).maps("fused", "p_wall"))
+    assert np.array_equal(fused, unpredicted.steps[0].fused)
+    assert p_wall is None
+
+
+def test_there_is_no_map_of_another_name(blurred: Recorded) -> None:
+    with pytest.raises(ValueError, match="truth"):
+        EpisodeLog(blurred.path).maps("truth")

@@ -1,0 +1,433 @@
+"""Whether a log is true: everything in it is made again, and compared bit for bit.
+
+From the log alone, `verify` takes the start, the moves and the predictions as logged and
+makes all the rest again with the functions that the simulator uses: scans, maps, frontiers,
+decisions, metrics, events and the outcome. `verify_rerun` takes only the metadata and the
+floor plan, and `verify_step` one logged observed map.
+
+A value that was changed after the fact is therefore named alone, and a stage that went wrong
+is the first of the differences at its step, with what follows from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from mapreplay import mapping, plugins
+from mapreplay.analysis.difference import Difference, compare
+from mapreplay.episode import (
+    Past,
+    Travelled,
+    budget,
+    decide,
+    events_of,
+    look_around,
+    measure,
+    outcome_of,
+    predict,
+    prepare_episode,
+    run_episode,
+    versions,
+)
+from mapreplay.errors import LogError, PluginError, UsageError
+from mapreplay.grid import FREE, Cell, Grid, Mask, Quantized, check_grid
+from mapreplay.planners import Planner, load_planner
+from mapreplay.predictors import Predictor, load_predictor
+from mapreplay.recorders import table
+from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.messages import Messages, Topic, stamp_ns_of
+from mapreplay.recorders.metadata import EPISODE_RECORD, OUTCOME_RECORD, EpisodeSummary
+from mapreplay.sensor import Hits, accumulate, sense
+from mapreplay.step import OURS, Decision, EpisodeHeader, PredictorIdentity, Step
+
+SHOWN: Final = 10
+"""Differences that are kept by default."""
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What came of verifying a log."""
+
+    steps: int
+    """Steps that were compared."""
+    differences: tuple[Difference, ...]
+    """The first of them, in order."""
+    count: int
+    """Of all differences."""
+    notes: tuple[str, ...]
+    """What could not be checked, and what may explain the differences."""
+
+    @property
+    def agrees(self) -> bool:
+        """Whether nothing differs."""
+        return self.count == 0
+
+
+def verify(log: EpisodeLog, shown: int = SHOWN) -> Verification:
+    """Check a log against itself; it is read once, and two steps are in memory.
+
+    Args:
+        log: Finished or not; an unfinished one is checked as far as it goes.
+        shown: Differences to keep; all are counted.
+
+    Raises:
+        LogError: the log cannot be read.
+        MapreplayError: the planner returned something impossible.
+    """
+    header = log.header
+    if header.simulator != OURS:
+        return _verify_foreign(log, shown)
+    truth = header.floor_plan.cells
+    findings = _Findings(header, shown)
+    findings.add(_check_header(header, log.explorable))
+    planner = _planner(header.config.planner, findings)
+    ending = _Ending(log)
+    past = Past.at_start(header)
+    expected: Step | None = None
+    move: Cell | None = None
+    for logged, messages in log.steps_with_messages():
+        if expected is not None:
+            agent = move or logged.agent
+            if not _is_free(truth, agent):
+                wanted = _neighbour_of(past.agent)
+                findings.add([Difference(logged.index, Topic.POSE, "agent", None, agent, wanted)])
+                findings.notes.append(f"step {logged.index} and later: not checked")
+                return findings.result()
+            past = past.after(expected, agent, header)
+        hits = sense(truth, past.agent, header.sensor)
+        observed = accumulate(past.observed, past.agent, hits, header.sensor)
+        findings.steps += 1
+        findings.add(_check_stamps(logged, messages))
+        # No planner has to cope with what is no probability.
+        asked = None if findings.add(_check_prediction(header, logged)) else planner
+        expected = _conclude(header, log.explorable, asked, past, hits, observed, logged)
+        findings.add(compare(logged, expected))
+        findings.add(ending.compare(logged))
+        move = None
+        if logged.decision is not None:
+            # The agent goes where the log says, so that one wrong decision does not make
+            # everything after it look wrong.
+            taken = replace(logged.decision, mode=expected.mode)
+            expected = replace(expected, decision=taken)
+            move = _legal_move(truth, past.agent, logged.decision)
+            if move is None:
+                target = logged.decision.next_cell if len(logged.decision.path) > 1 else None
+                wanted = _neighbour_of(past.agent)
+                findings.add([Difference(past.index, Topic.PLAN, "move", None, target, wanted)])
+    findings.add(ending.close())
+    return findings.result()
+
+
+def _verify_foreign(log: EpisodeLog, shown: int) -> Verification:
+    """What can be checked of another simulator's steps: fusion, metrics, stamps and the end."""
+    header = log.header
+    findings = _Findings(header, shown)
+    findings.notes.append(
+        f"recorded by {header.simulator}: scans, moves, frontiers and decisions not checked"
+    )
+    ending = _Ending(log)
+    travelled, agent = Travelled(), header.start
+    for logged, messages in log.steps_with_messages():
+        travelled = travelled.to(agent, logged.agent)
+        agent = logged.agent
+        findings.steps += 1
+        findings.add(_check_stamps(logged, messages))
+        findings.add(_check_prediction(header, logged))
+        fused = mapping.fuse(logged.observed, logged.p_wall, header.thresholds)
+        path_length = travelled.metres(header.floor_plan.resolution)
+        metrics = measure(
+            header, log.explorable, logged.observed, logged.p_wall, logged.fused, path_length
+        )
+        findings.add(compare(logged, replace(logged, fused=fused, metrics=metrics)))
+        findings.add(ending.compare(logged))
+    findings.add(ending.close())
+    return findings.result()
+
+
+def verify_rerun(log: EpisodeLog, device: str = "cpu", shown: int = SHOWN) -> Verification:
+    """Run the episode again from its metadata and true map, and compare every step.
+
+    If the predictor is not the one that was used, that alone is named.
+
+    Raises:
+        LogError: the log cannot be read.
+        UsageError: it was recorded by another simulator.
+        PluginError, WeightsError: the planner or the predictor cannot be loaded.
+        MapreplayError: one of them returned something impossible.
+    """
+    header = log.header
+    _refuse_foreign(log)
+    findings = _Findings(header, shown)
+    predictor = load_predictor(header.config.predictor, device)
+    if findings.add(_check_predictor(header.predictor, predictor.identity)):
+        return findings.result()
+    findings.add(_check_header(header, log.explorable))
+    episode = prepare_episode(header.config, header.floor_plan, predictor=predictor)
+    again, ending = run_episode(episode), _Ending(log)
+    for logged, messages in log.steps_with_messages():
+        expected = next(again, None)
+        if expected is None:
+            steps = f"{findings.steps} steps"
+            findings.add([Difference(logged.index, Topic.METRICS, "step", None, "a step", steps)])
+            return findings.result()
+        findings.steps += 1
+        findings.add(_check_stamps(logged, messages))
+        findings.add(compare(logged, expected))
+        findings.add(ending.compare(logged))
+    findings.add(ending.close())
+    return findings.result()
+
+
+def verify_step(
+    log: EpisodeLog, index: int, device: str = "cpu", shown: int = SHOWN
+) -> Verification:
+    """Predict, fuse, score and decide again at one step, from its logged pose and observed map.
+
+    Raises:
+        IndexError: there is no such step.
+        LogError: the log cannot be read, or the observed map is none.
+        PluginError, WeightsError: the planner or the predictor cannot be loaded.
+        MapreplayError: one of them returned something impossible.
+    """
+    _refuse_foreign(log)
+    header, logged = log.header, log[index]
+    truth = header.floor_plan.cells
+    before = log[logged.index - 1].decision if logged.index > 0 else None
+    findings = _Findings(header, shown)
+    predictor, planner = _load(header, device)
+    if findings.add(_check_predictor(header.predictor, predictor.identity)):
+        return findings.result()
+    problem = check_grid(logged.observed)
+    if problem is not None or not _is_free(truth, logged.agent):
+        reason = problem or f"the agent is at {tuple(logged.agent)}, which is no free cell"
+        raise LogError(f"{log.path}: step {logged.index} is no state to go on from ({reason})")
+    past = replace(
+        Past.at_start(header),
+        index=logged.index,
+        agent=logged.agent,
+        previous_target=before.target if before else None,
+    )
+    hits = sense(truth, logged.agent, header.sensor)
+    predicted = replace(logged, p_wall=predict(header, predictor, logged.observed))
+    expected = _conclude(header, log.explorable, planner, past, hits, logged.observed, predicted)
+    # What these say depends on all steps before.
+    known = replace(expected.metrics, path_length=logged.metrics.path_length)
+    findings.steps = 1
+    findings.add(compare(logged, replace(expected, metrics=known, events=logged.events)))
+    return findings.result()
+
+
+def _refuse_foreign(log: EpisodeLog) -> None:
+    if log.header.simulator != OURS:
+        raise UsageError(
+            f"{log.path}: recorded by {log.header.simulator}, which cannot be run again here"
+        )
+
+
+class _Findings:
+    """The first differences, and the count of all."""
+
+    def __init__(self, header: EpisodeHeader, shown: int) -> None:
+        self.steps = 0
+        self.notes: list[str] = []
+        self._header = header
+        self._shown = shown
+        self._kept: list[Difference] = []
+        self._count = 0
+
+    def add(self, found: Iterable[Difference]) -> bool:
+        """Keep what is still to be shown; whether there was anything."""
+        before = self._count
+        for difference in found:
+            self._count += 1
+            if len(self._kept) < self._shown:
+                self._kept.append(difference)
+        return self._count > before
+
+    def result(self) -> Verification:
+        here = dict(versions())
+        others = [
+            f"{name} {version} (here {here.get(name)})"
+            for name, version in self._header.versions
+            if here.get(name) != version
+        ]
+        if self._count and others:
+            self.notes.append(f"recorded with {', '.join(others)}")
+        return Verification(self.steps, tuple(self._kept), self._count, tuple(self.notes))
+
+
+class _Ending:
+    """What a log with an index says of all its steps, and whether its steps say the same."""
+
+    def __init__(self, log: EpisodeLog) -> None:
+        self._config = log.header.config
+        self._logged = log.summary
+        self._expected: EpisodeSummary | None = None
+        self._rows: Iterator[table.Row] = iter(())
+        self._columns: list[str] = []
+        if log.summary is not None:
+            frame = log.table()
+            self._rows, self._columns = frame.iter_rows(), frame.columns
+
+    def compare(self, step: Step) -> Iterator[Difference]:
+        """Compare the row of the attachment with its step."""
+        if self._logged is None:
+            return
+        self._expected = self._with(step)
+        expected = table.row_of(step)
+        row = next(self._rows, None)
+        if row is None or len(row) != len(expected):
+            size = None if row is None else f"{len(row)} columns"
+            wanted = f"{len(expected)} columns"
+            yield Difference(step.index, table.ATTACHMENT, "row", None, size, wanted)
+            return
+        for name, ours, theirs in zip(self._columns, row, expected, strict=True):
+            if ours != theirs:
+                yield Difference(step.index, table.ATTACHMENT, name, None, ours, theirs)
+
+    def close(self) -> Iterator[Difference]:
+        """After the last step: compare the summary, and look for rows without a step."""
+        if self._logged is None or self._expected is None:
+            return
+        expected = asdict(self._expected)
+        for name, value in asdict(self._logged).items():
+            if value != expected[name]:
+                yield Difference(None, OUTCOME_RECORD, name, None, value, expected[name])
+        further = sum(1 for _ in self._rows)
+        if further:
+            yield Difference(None, table.ATTACHMENT, "further rows", None, further, 0)
+
+    def _with(self, step: Step) -> EpisodeSummary:
+        """The summary of the steps so far."""
+        config, metrics, past = self._config, step.metrics, self._expected
+        mapping_time = past.mapping_time if past else None
+        if mapping_time is None and metrics.coverage(config.build) >= config.coverage:
+            mapping_time = step.index
+        correct_time = past.correct_time if past else None
+        right = metrics.correct_coverage(config.build)
+        if correct_time is None and right >= config.correct_coverage:
+            correct_time = step.index
+        length = metrics.path_length
+        return EpisodeSummary(step.outcome, step.index, mapping_time, correct_time, length)
+
+
+def _load(header: EpisodeHeader, device: str) -> tuple[Predictor, Planner]:
+    return load_predictor(header.config.predictor, device), load_planner(header.config.planner)
+
+
+def _planner(name: str, findings: _Findings) -> Planner | None:
+    """The planner, or None and a note if it cannot be had."""
+    try:
+        return load_planner(name)
+    except PluginError as error:
+        known = name in plugins.available(plugins.Group.PLANNERS)
+        reason = str(error) if known else f"planner {name!r} is not installed"
+        findings.notes.append(f"{reason}: decisions not checked")
+        return None
+
+
+def _conclude(
+    header: EpisodeHeader,
+    region: Mask,
+    planner: Planner | None,
+    past: Past,
+    hits: Hits,
+    observed: Grid,
+    logged: Step,
+) -> Step:
+    """The step that follows from a scan, the observed map and the logged prediction.
+
+    Without a planner, the logged decision is taken over, with the mode that is right.
+    """
+    p_wall = logged.p_wall
+    fused = mapping.fuse(observed, p_wall, header.thresholds)
+    path_length = past.travelled.metres(header.floor_plan.resolution)
+    metrics = measure(header, region, observed, p_wall, fused, path_length)
+    view = look_around(header.config, past.agent, observed, fused)
+    outcome = outcome_of(header, past.index, metrics, view)
+    decision: Decision | None = None
+    if outcome is None and planner is not None:
+        decision = decide(header, planner, past, observed, p_wall, view)
+    elif outcome is None and logged.decision is not None:
+        decision = replace(logged.decision, mode=view.mode)
+    return Step(
+        index=past.index,
+        agent=past.agent,
+        hits=hits,
+        observed=observed,
+        p_wall=p_wall,
+        fused=fused,
+        frontier=view.frontier,
+        decision=decision,
+        metrics=metrics,
+        events=events_of(header, past, metrics, view, outcome),
+        outcome=outcome,
+        profile=None,
+    )
+
+
+def _check_header(header: EpisodeHeader, region: Mask) -> Iterator[Difference]:
+    """The start and the budget follow from the configuration and the floor plan."""
+    config, plan = header.config, header.floor_plan
+    start, steps = plan.check_start(config.start_cell), budget(config, plan, region)
+    if header.start != start:
+        yield Difference(None, EPISODE_RECORD, "start", None, header.start, start)
+    elif header.max_steps != steps:
+        yield Difference(None, EPISODE_RECORD, "max_steps", None, header.max_steps, steps)
+
+
+def _check_predictor(logged: PredictorIdentity, here: PredictorIdentity) -> Iterator[Difference]:
+    if logged.name != here.name:
+        yield Difference(None, EPISODE_RECORD, "predictor", None, logged.name, here.name)
+    if logged.sha256 != here.sha256:
+        hashes = logged.sha256, here.sha256
+        yield Difference(None, EPISODE_RECORD, "predictor_sha256", None, *hashes)
+
+
+def _check_stamps(step: Step, messages: Messages) -> Iterator[Difference]:
+    """All messages of a step have its simulated time."""
+    for topic in Topic:
+        for data in messages.get(topic, ()):
+            stamp = stamp_ns_of(topic, data)
+            if stamp != step.stamp_ns:
+                yield Difference(step.index, topic, "stamp", None, stamp, step.stamp_ns)
+
+
+def _check_prediction(header: EpisodeHeader, step: Step) -> Iterator[Difference]:
+    """It has the type that the configuration says, and is a probability."""
+    p_wall: Quantized | None = step.p_wall
+    if p_wall is None:
+        return
+    dtype = header.config.prediction_dtype
+    if p_wall.dtype.name != dtype:
+        yield Difference(step.index, Topic.P_WALL, "type", None, p_wall.dtype.name, dtype)
+    if p_wall.dtype == np.float32:
+        wrong = np.argwhere(~((p_wall >= 0) & (p_wall <= 1)))  # also NaN
+        if len(wrong):
+            cell = Cell(*wrong[0].tolist())
+            value = p_wall[cell].item()
+            more = len(wrong) - 1
+            yield Difference(step.index, Topic.P_WALL, "cell", cell, value, "0 to 1", more)
+
+
+def _is_free(truth: Grid, cell: Cell) -> bool:
+    height, width = truth.shape
+    inside = 0 <= cell.row < height and 0 <= cell.col < width
+    return inside and bool(truth[cell] == FREE)
+
+
+def _legal_move(truth: Grid, agent: Cell, decision: Decision) -> Cell | None:
+    """Where the decision leads, if that is one of the eight neighbours and free."""
+    if len(decision.path) < 2:
+        return None
+    cell = decision.next_cell
+    distance = max(abs(cell.row - agent.row), abs(cell.col - agent.col))
+    return cell if distance == 1 and _is_free(truth, cell) else None
+
+
+def _neighbour_of(cell: Cell) -> str:
+    return f"a free neighbour of ({cell.row}, {cell.col})"

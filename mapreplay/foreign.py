@@ -1,0 +1,208 @@
+"""Episodes of other simulators and of real robots: what a log needs, from what they have.
+
+Only poses and observed maps are needed. What else there is (a true map, a prediction, scans,
+targets) is kept; what there is not is left out of the log:
+
+======================  ==================================================================
+left out                what then
+======================  ==================================================================
+the true map            it is unknown everywhere, nothing is explorable, scores are NaN
+a prediction            no ``/map/p_wall``; the fused map is the observed one
+a scan                  no ``/scan``
+a target                no ``/decision`` and ``/plan``; nothing to explain
+======================  ==================================================================
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from mapreplay import mapping
+from mapreplay.config import EpisodeConfig
+from mapreplay.episode import Travelled, measure, versions
+from mapreplay.errors import UsageError
+from mapreplay.floorplan import FloorPlan, explorable
+from mapreplay.grid import FREE, UNKNOWN, Cell, Grid, Origin, check_grid
+from mapreplay.planning import shortest_paths
+from mapreplay.sensor import Hits
+from mapreplay.step import (
+    Candidate,
+    Cells,
+    Decision,
+    EpisodeHeader,
+    Event,
+    EventKind,
+    Mode,
+    Outcome,
+    PredictorIdentity,
+    Step,
+)
+
+NO_PREDICTOR = PredictorIdentity("none", "")
+
+
+def unknown_floor_plan(
+    name: str, shape: tuple[int, int], resolution: float, origin: tuple[float, float] = (0.0, 0.0)
+) -> FloorPlan:
+    """A floor plan of which only the size is known: `shape` (height, width), metres a cell.
+
+    Raises:
+        FloorPlanError: the name, size or resolution makes no floor plan.
+    """
+    cells = np.full(shape, UNKNOWN, np.int8)
+    return FloorPlan(name, cells, resolution, Origin(*origin), has_truth=False)
+
+
+class ForeignEpisode:
+    """Turns what another simulator knows at each step into a `Step` to be written.
+
+    ::
+
+        episode = ForeignEpisode(unknown_floor_plan("lab", (80, 60), 0.05), start, planner="mine")
+        with EpisodeWriter(Path("lab.mcap"), episode.header) as writer:
+            writer.write(episode.step(agent, observed))
+    """
+
+    def __init__(
+        self,
+        floor_plan: FloorPlan,
+        start: tuple[int, int],
+        planner: str,
+        simulator: str = "another simulator",
+        predictor: PredictorIdentity = NO_PREDICTOR,
+        max_steps: int = 10_000_000,
+        **config: Any,
+    ) -> None:
+        """Describe the episode.
+
+        Args:
+            floor_plan: The true map, or an `unknown_floor_plan`.
+            start: (row, col) of the first pose.
+            planner: Its name.
+            simulator: What made the steps, by name.
+            predictor: Name and weights' hash of what predicts.
+            max_steps: The budget.
+            **config: Further keys of `EpisodeConfig`, such as ``seed`` or ``coverage``.
+
+        Raises:
+            ConfigError: a key is unknown or out of range.
+            FloorPlanError: the start is outside, or not free in the true map.
+        """
+        values = {"planner": planner, "predictor": predictor.name, "max_steps": max_steps}
+        self.header = EpisodeHeader(
+            config=EpisodeConfig.of(values | config),
+            floor_plan=floor_plan,
+            start=floor_plan.check_start(Cell(*start)),
+            max_steps=max_steps,
+            predictor=predictor,
+            versions=versions(),
+            simulator=simulator,
+        )
+        self._region = explorable(floor_plan.cells, self.header.start)
+        self._index = 0
+        self._agent = self.header.start
+        self._travelled = Travelled()
+
+    def step(
+        self,
+        agent: tuple[int, int],
+        observed: Grid,
+        *,
+        p_wall: npt.NDArray[np.floating] | None = None,
+        fused: Grid | None = None,
+        hits: Hits | None = None,
+        target: tuple[int, int] | None = None,
+        frontier: Cells | None = None,
+        outcome: str | None = None,
+    ) -> Step:
+        """The next step; steps are numbered from 0 and stamped 0.1 s apart.
+
+        Args:
+            agent: (row, col).
+            observed: int8[H, W] of -1, 0, 100.
+            p_wall: float[H, W], P(occupied) in [0, 1].
+            fused: int8[H, W]; by default the observed map completed by `p_wall`.
+            hits: int16[rays], see `mapreplay.sensor`.
+            target: (row, col) that the agent goes for; None at the last step.
+            frontier: int32[n, 2], what it chose from.
+            outcome: ``mapped``, ``sealed_in`` or ``out_of_steps`` at the last step.
+
+        Raises:
+            UsageError: a map has another size or other values, or the outcome is none.
+        """
+        header = self.header
+        cell = self._check_cell("agent", agent)
+        self._check_map("observed", observed)
+        quantized = None
+        if p_wall is not None:
+            if p_wall.shape != observed.shape:
+                raise UsageError(f"p_wall: shape {p_wall.shape} on a map of {observed.shape}")
+            try:
+                quantized = mapping.quantize(p_wall, header.config.prediction_dtype)
+            except ValueError as error:
+                raise UsageError(f"p_wall: {error}") from None
+        if fused is None:
+            fused = mapping.fuse(observed, quantized, header.thresholds)
+        self._check_map("fused", fused)
+        self._travelled = self._travelled.to(self._agent, cell)
+        length = self._travelled.metres(header.floor_plan.resolution)
+        ended = None if outcome is None else _outcome(outcome)
+        step = Step(
+            index=self._index,
+            agent=cell,
+            hits=np.empty(0, np.int16) if hits is None else hits,
+            observed=observed,
+            p_wall=quantized,
+            fused=fused,
+            frontier=np.empty((0, 2), np.int32) if frontier is None else frontier,
+            decision=None if target is None or ended else self._decision(cell, target, fused),
+            metrics=measure(header, self._region, observed, quantized, fused, length),
+            events=_ending(ended, self._index),
+            outcome=ended,
+            profile=None,
+        )
+        self._index += 1
+        self._agent = cell
+        return step
+
+    def _decision(self, agent: Cell, target: tuple[int, int], plan_map: Grid) -> Decision:
+        goal = self._check_cell("target", target)
+        path = np.array([agent, goal], np.int32)
+        way = Travelled().to(agent, goal)
+        straight, diagonal = way.straight, way.diagonal
+        if plan_map[agent] == FREE:
+            paths = shortest_paths(plan_map, agent)
+            if paths.reaches(goal) and goal != agent:
+                path = paths.to(goal)
+                straight, diagonal = int(paths.straight[goal]), int(paths.diagonal[goal])
+        unrated = float("nan")
+        chosen = Candidate(goal, unrated, unrated, straight, diagonal)
+        return Decision(chosen, path, Mode.NORMAL, (), None)
+
+    def _check_cell(self, what: str, cell: tuple[int, int]) -> Cell:
+        row, col = int(cell[0]), int(cell[1])
+        height, width = self.header.floor_plan.shape
+        if not (0 <= row < height and 0 <= col < width):
+            raise UsageError(f"{what} ({row}, {col}) lies outside of {height} x {width}")
+        return Cell(row, col)
+
+    def _check_map(self, what: str, cells: Grid) -> None:
+        problem = check_grid(cells)
+        if problem is None and cells.shape != self.header.floor_plan.shape:
+            problem = f"shape {cells.shape} on a floor plan of {self.header.floor_plan.shape}"
+        if problem is not None:
+            raise UsageError(f"{what}: {problem}")
+
+
+def _outcome(name: str) -> Outcome:
+    try:
+        return Outcome(name)
+    except ValueError:
+        raise UsageError(f"outcome {name!r}: should be {', '.join(Outcome)}") from None
+
+
+def _ending(outcome: Outcome | None, index: int) -> tuple[Event, ...]:
+    return () if outcome is None else (Event(EventKind.OUTCOME, f"{outcome} after {index} steps"),)

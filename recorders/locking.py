@@ -1,0 +1,53 @@
+"""An advisory lock on a file that is being written; it is gone when its process is."""
+
+from __future__ import annotations
+
+import os
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import BinaryIO
+
+if sys.platform == "win32":
+
+    def lock(file: BinaryIO) -> bool:  # noqa: ARG001
+        """True: there are no such locks."""
+        return True
+
+    def move(file: BinaryIO, source: Path, target: Path) -> None:
+        """Close `file`, which is at `source`, and rename it; an open one cannot be renamed."""
+        file.close()
+        source.replace(target)
+
+else:
+    import fcntl
+
+    def lock(file: BinaryIO) -> bool:
+        """Lock `file` until it is closed; False if another writer has it."""
+        try:
+            fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        except OSError:  # some network file systems have no locks
+            return True
+        return True
+
+    def move(file: BinaryIO, source: Path, target: Path) -> None:
+        """Rename `file`, which is at `source`, while it is locked, and close it."""
+        source.replace(target)
+        file.close()
+
+
+def is_locked(path: Path) -> bool:
+    """Whether somebody writes the file at `path` now; False where that cannot be known."""
+    with suppress(OSError), path.open("rb") as file:
+        return not lock(file)
+    return False
+
+
+def is_at(file: BinaryIO, path: Path) -> bool:
+    """Whether the open `file` is still the one at `path`: not moved, removed or replaced."""
+    try:
+        return os.path.samestat(os.fstat(file.fileno()), path.stat())
+    except FileNotFoundError:
+        return False
