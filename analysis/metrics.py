@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Protocol, cast
 
-import numpy as np
 import polars as pl
 
 from mapreplay import plugins

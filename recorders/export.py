@@ -34,8 +34,9 @@ def export_arrays(log: EpisodeLog, path: Path, *, force: bool = False) -> None:
     observed, fused: int8[n, H, W]; p_wall: uint8, uint16 or float32[m, H, W] of the m steps
     in p_wall_step, both only if there was a prediction; truth: int8[H, W]; explorable:
     bool[H, W]; agent, target: int32[n, 2] (row, col), the target -1 where there is none;
-    hits: int16[n, rays] (int16[n, 0] without scans); and a float64[n] for each of `StepMetrics`, NaN where undefined.
-    The log is read once for each kind of map, so that memory stays bounded.
+    hits: int16[n, rays] (int16[n, 0] without scans); and a float64[n] for each of
+    `StepMetrics`, NaN where undefined. The log is read once for each kind of map, so that
+    memory stays bounded.
 
     Raises:
         LogError: the log is damaged, or `path` exists or cannot be written.

@@ -30,7 +30,18 @@ def test_help_names_every_verb_and_loads_nothing_slow() -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, check=False
     )
     assert result.returncode == 0, result.stderr
-    for verb in ("run", "view", "ls", "info", "metrics", "export", "floorplans", "train", "bench"):
+    for verb in (
+        "run",
+        "view",
+        "ls",
+        "info",
+        "metrics",
+        "verify",
+        "recover",
+        "export",
+        "train",
+        "bench",
+    ):
         assert f"\n  {verb} " in result.stdout
 
 

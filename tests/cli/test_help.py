@@ -12,7 +12,20 @@ import pytest
 from commands import Run
 
 GOLDEN = Path(__file__).parent / "golden"
-VERBS = ["", "run", "view", "ls", "info", "metrics", "export", "floorplans", "train", "bench"]
+VERBS = [
+    "",
+    "run",
+    "view",
+    "ls",
+    "info",
+    "metrics",
+    "verify",
+    "recover",
+    "export",
+    "floorplans",
+    "train",
+    "bench",
+]
 
 
 @pytest.mark.parametrize("verb", VERBS)

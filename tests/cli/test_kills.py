@@ -52,7 +52,7 @@ def undisturbed() -> list[Step]:
 
 
 def start(path: Path) -> subprocess.Popen[str]:
-    tests = str(Path(__file__).parents[1])
+    tests = str(Path(__file__).parents[1] / "helpers")
     command = [sys.executable, "-c", RECORD, tests, str(path)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
 

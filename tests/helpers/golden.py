@@ -1,6 +1,6 @@
 """Golden logs: what a log of each format version says, and how the current one was made.
 
-``python tests/golden.py`` writes the files of the current format version. It refuses to
+``python tests/helpers/golden.py`` writes the files of the current format version. It refuses to
 overwrite: a version that people have logs of must be read as it is, for ever.
 """
 
@@ -20,7 +20,7 @@ from mapreplay.recorders.writer import EpisodeWriter
 from mapreplay.step import Step, StepProfile
 from recordings import BlurPredictor
 
-FOLDER = Path(__file__).parent / "recorders" / "golden"
+FOLDER = Path(__file__).parents[1] / "recorders" / "golden"
 
 TWO_ROOMS = """
     ############

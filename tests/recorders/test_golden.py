@@ -1,4 +1,4 @@
-"""Logs of every format version stay readable, to the last bit; see tests/golden.py."""
+"""Logs of every format version stay readable, to the last bit; see tests/helpers/golden.py."""
 
 import json
 from pathlib import Path

@@ -14,7 +14,7 @@ from mapreplay.recorders.log import EpisodeLog
 from mapreplay.recorders.writer import EpisodeWriter
 from recordings import Recorded
 
-TESTS = str(Path(__file__).parents[1])
+TESTS = str(Path(__file__).parents[1] / "helpers")
 
 WRITE = """
 import sys

@@ -59,7 +59,7 @@ def test_the_readmes_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     lines = [line for line in code[1].splitlines() if line.strip()]
     assert len(lines) <= 14
     monkeypatch.chdir(tmp_path)
-    exec(compile(code[1], "README.md", "exec"), {})  # noqa: S102
+    exec(compile(code[1], "README.md", "exec"), {})
     (log,) = tmp_path.rglob("*.mcap")
     assert verify(EpisodeLog(log)).agrees
 
