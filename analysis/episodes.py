@@ -16,6 +16,8 @@ from mapreplay.errors import UsageError
 from mapreplay.recorders.log import EpisodeLog
 
 UNFINISHED: Final = "unfinished"
+WIDTH: Final = 16
+"""Characters of a floor-plan id that a text table shows."""
 
 
 @dataclass(frozen=True)
@@ -110,14 +112,24 @@ def episode_frame(rows: Sequence[EpisodeRow]) -> pl.DataFrame:
 
 
 def brief(frame: pl.DataFrame) -> pl.DataFrame:
-    """What a person wants to see of an episode frame, narrow enough for a terminal."""
+    """What a person wants to see of an episode frame, narrow enough for a terminal.
+
+    Long floor-plan ids are cut; where the agent plans on the map that it builds, that map is
+    named once.
+    """
     return frame.select(
-        pl.col("floor_plan").str.slice(0, 16),
+        pl.when(pl.col("floor_plan").str.len_chars() > WIDTH)
+        .then(pl.col("floor_plan").str.slice(0, WIDTH - 1) + "…")
+        .otherwise("floor_plan")
+        .alias("floor_plan"),
         "planner",
-        pl.format("{}/{}", "plan_on", "build").alias("maps"),
+        pl.when(pl.col("plan_on") == pl.col("build"))
+        .then("plan_on")
+        .otherwise(pl.format("{}/{}", "plan_on", "build"))
+        .alias("maps"),
         "outcome",
         "steps",
-        pl.col("path_length").alias("path_m"),
+        pl.col("path_length").fill_nan(None).round().cast(pl.Int64).alias("path_m"),
         pl.col("coverage").alias("cover"),
         "correct",
         "f1",

@@ -32,8 +32,7 @@ Share = Annotated[float, Field(ge=0, le=1)]
 class EpisodeConfig(BaseModel):
     """What an episode depends on, beside its floor plan.
 
-    `ConfigError` is raised for an unknown key or a value out of range; it names the key, the
-    value and what is allowed.
+    Made by `of`, which names in a `ConfigError` the key, the value and what is allowed.
     """
 
     model_config = ConfigDict(
@@ -129,7 +128,7 @@ def describe(error: ValidationError) -> str:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The keys of a TOML file.
+    """The keys of a TOML file; ``plan-on`` and ``plan_on`` are the same.
 
     Raises:
         ConfigError: it cannot be read, or is not TOML.
@@ -137,7 +136,8 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > _MAX_CONFIG_BYTES:
             raise ConfigError(f"{path}: larger than 1 MiB, not a configuration")
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+        return {key.replace("-", "_"): value for key, value in values.items()}
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

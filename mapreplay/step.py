@@ -244,8 +244,13 @@ class EpisodeHeader:
     @property
     def file_name(self) -> str:
         """``<floor-plan>__<planner>__<plan-on>-<build>__s<seed>.mcap``."""
-        c = self.config
-        return f"{self.floor_plan.id}__{c.planner}__{c.plan_on}-{c.build}__s{c.seed}.mcap"
+        return log_name(self.floor_plan.id, self.config)
+
+
+def log_name(floor_plan_id: str, config: EpisodeConfig) -> str:
+    """The name of an episode's log, which follows from its floor plan and configuration."""
+    c = config
+    return f"{floor_plan_id}__{c.planner}__{c.plan_on}-{c.build}__s{c.seed}.mcap"
 
 
 def differences(a: Step, b: Step) -> list[str]:

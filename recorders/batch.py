@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
+import threading
 import time
 from collections.abc import Generator, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from multiprocessing.connection import Connection, wait
@@ -20,6 +21,7 @@ from mapreplay.errors import MapreplayError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.predictors import Predictor, load_predictor
 from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.step import log_name
 
 REPORT_SECONDS: Final = 0.1
 
@@ -34,6 +36,11 @@ class Task:
     device: str
     profile: bool
     force: bool
+
+    @property
+    def path(self) -> Path:
+        """Where its log goes."""
+        return self.folder / log_name(self.floor_plan.id, self.config)
 
 
 @dataclass(frozen=True)
@@ -70,7 +77,7 @@ def record(number: int, task: Task) -> Iterator[Report]:
     try:
         predictor = _predictor(task.config.predictor, task.device)
         episode = prepare_episode(task.config, task.floor_plan, predictor=predictor)
-        path = task.folder / episode.header.file_name
+        path = task.path
         with EpisodeWriter(path, episode.header, profile=task.profile, force=task.force) as writer:
             reported = 0.0
             for step in run_episode(episode):
@@ -138,7 +145,8 @@ class _Worker:
     def start(cls, context: multiprocessing.context.SpawnContext) -> _Worker:
         ours, theirs = context.Pipe()
         process = context.Process(target=_work, args=(theirs,), daemon=True)
-        process.start()
+        with _ignoring_interrupts():
+            process.start()
         theirs.close()
         return cls(process, ours)
 
@@ -167,9 +175,24 @@ class _Worker:
         self.process.join()
 
 
+@contextmanager
+def _ignoring_interrupts() -> Iterator[None]:
+    """What is started in here ignores Ctrl-C, from its first instruction on.
+
+    Ctrl-C reaches the whole process group; the parent alone decides what it means.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread may change how signals are handled
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def _work(connection: Connection) -> None:
     """The loop of a worker process: take a task, report, until None comes."""
-    # Ctrl-C reaches the whole process group; the parent alone decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         while (item := connection.recv()) is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import os
 import struct
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
@@ -97,14 +98,14 @@ class EpisodeLog:
     their last complete chunk, whose checksum is checked as it is read.
     """
 
-    def __init__(self, path: Path) -> None:
-        """Open `path`.
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        """Open the file at `path`.
 
         Raises:
             LogError: it cannot be read, is damaged, was written by a newer version, or is not
                 a log of this package.
         """
-        self.path: Final = path
+        self.path: Final = Path(path)
         with self._reading() as file:
             if not is_mcap(file):
                 raise LogError("not an MCAP file")

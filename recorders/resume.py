@@ -39,9 +39,8 @@ def resume(tasks: Sequence[Task], predictor: Predictor) -> Resumption:
     finished, left = [], []
     for task in tasks:
         header = prepare_episode(task.config, task.floor_plan, predictor=predictor).header
-        path = task.folder / header.file_name
-        if path.exists() and _is_finished(path, header, force=task.force):
-            finished.append(path)
+        if task.path.exists() and _is_finished(task.path, header, force=task.force):
+            finished.append(task.path)
         else:
             left.append(replace(task, force=True))
     return Resumption(finished, left)

@@ -47,7 +47,12 @@ class EpisodeWriter:
     """
 
     def __init__(
-        self, path: Path, header: EpisodeHeader, *, profile: bool = False, force: bool = False
+        self,
+        path: str | os.PathLike[str],
+        header: EpisodeHeader,
+        *,
+        profile: bool = False,
+        force: bool = False,
     ) -> None:
         """Create the file, and its folder.
 
@@ -62,6 +67,7 @@ class EpisodeWriter:
                 `force`), or it cannot be written; or cells of this resolution and origin
                 cannot be told from their metres.
         """
+        path = Path(path)
         if path.suffix != ".mcap":
             raise LogError(f"{path}: the name of a log ends in .mcap")
         self.path: Final = path

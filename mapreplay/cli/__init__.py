@@ -29,7 +29,7 @@ INTERRUPTED = 130
 
 app = typer.Typer(
     name="mapreplay",
-    no_args_is_help=True,
+    invoke_without_command=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
@@ -46,12 +46,15 @@ def _version(wanted: bool) -> None:  # noqa: FBT001 (typer's callback)
 
 @app.callback()
 def _mapreplay(
+    context: typer.Context,
     _version: Annotated[
         bool,
         typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
     ] = False,
 ) -> None:
     """Record, replay and analyse agents that map floor plans with a learned map predictor."""
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
 
 
 for _verb in (run, view, ls, info, metrics, recover, export, floorplans, train, verify):
@@ -66,7 +69,9 @@ def main() -> None:
     except MapreplayError as error:
         _fail(str(error), error.exit_code)
     except typer.TyperException as error:  # wrong usage
-        _fail(f"{error.format_message()} See `mapreplay --help`.", error.exit_code)
+        context = getattr(error, "ctx", None)
+        verb = context.command_path if context else "mapreplay"
+        _fail(f"{error.format_message()} See `{verb} --help`.", error.exit_code)
     except (typer.Abort, KeyboardInterrupt):
         _fail("interrupted", INTERRUPTED)
     except BrokenPipeError:

@@ -16,10 +16,17 @@ if TYPE_CHECKING:
     from mapreplay.floorplan import FloorPlan
 
 bench_app = typer.Typer(
-    no_args_is_help=True,
+    invoke_without_command=True,
     rich_markup_mode=None,
     help="Measure speed, and what a predictor is worth.",
 )
+
+
+@bench_app.callback()
+def _bench(context: typer.Context) -> None:
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
 
 SpecOption = Annotated[
     str, typer.Option("--floorplans", help="Source, see `mapreplay floorplans --help`.")

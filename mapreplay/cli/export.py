@@ -7,12 +7,13 @@ from typing import Annotated
 
 import typer
 
+from mapreplay.cli.logs import LogArgument, open_log
 from mapreplay.cli.output import ForceOption, note
 from mapreplay.errors import UsageError
 
 
 def export(
-    log: Annotated[Path, typer.Argument(help="The log.", show_default=False)],
+    log: LogArgument,
     npz: Annotated[Path | None, typer.Option(help="Write all arrays into this .npz.")] = None,
     png: Annotated[Path | None, typer.Option(help="Write the maps into this folder.")] = None,
     step: Annotated[
@@ -26,9 +27,8 @@ def export(
     if npz is None and png is None:
         raise UsageError("export: say what to write: --npz FILE, --png FOLDER, or both")
     from mapreplay.recorders.export import export_arrays, export_images
-    from mapreplay.recorders.log import EpisodeLog
 
-    opened = EpisodeLog(log)
+    opened = open_log(log)
     if npz is not None:
         export_arrays(opened, npz, force=force)
         note(f"written: {npz}")
@@ -37,7 +37,7 @@ def export(
         steps = []
         for wanted in step or [-1]:
             if not -count <= wanted < count:
-                raise UsageError(f"--step {wanted}: {log} has steps 0 to {count - 1}")
+                raise UsageError(f"--step {wanted}: {opened.path} has steps 0 to {count - 1}")
             steps.append(wanted % count)
         for path in export_images(opened, png, steps, scale, force=force):
             note(f"written: {path}")

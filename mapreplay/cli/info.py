@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
-
 import typer
 
-from mapreplay.cli.output import ForceOption, Format, FormatOption, OutputOption, emit, note
+from mapreplay.cli.logs import LogArgument, open_log
+from mapreplay.cli.output import ForceOption, Format, FormatOption, OutputOption, emit
 
 LOST = 3
 
 
 def info(
-    log: Annotated[Path, typer.Argument(help="The log.", show_default=False)],
+    log: LogArgument,
     form: FormatOption = Format.TABLE,
     output: OutputOption = None,
     force: ForceOption = False,
@@ -25,13 +23,12 @@ def info(
     import polars as pl
 
     from mapreplay.analysis.episodes import summarize
-    from mapreplay.recorders.log import EpisodeLog
 
-    opened = EpisodeLog(log)
+    opened = open_log(log)
     header, plan = opened.header, opened.header.floor_plan
     facts: list[tuple[str, str, object]] = [
         ("file", "finished", opened.finished),
-        ("file", "bytes", log.stat().st_size),
+        ("file", "bytes", opened.path.stat().st_size),
         ("floor plan", "id", plan.id),
         ("floor plan", "cells", f"{plan.shape[0]} x {plan.shape[1]}"),
         ("floor plan", "resolution", f"{plan.resolution} m a cell"),
@@ -47,7 +44,7 @@ def info(
     facts += [("config", key, value) for key, value in header.config.model_dump(mode="json").items()
               if key not in {"predictor", "start", "max_steps"}]  # fmt: skip
     facts += [("version", name, version) for name, version in header.versions]
-    row = summarize(opened, str(log))
+    row = summarize(opened, str(opened.path))
     facts += [
         (
             "end",
@@ -73,5 +70,4 @@ def info(
     )
     emit(frame, "mapreplay.info/1", form, output, force=force)
     if not opened.finished:
-        note(f"{log}: unfinished; {len(opened)} steps can be read")
         raise typer.Exit(LOST)

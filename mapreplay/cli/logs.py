@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mapreplay.cli.output import note
-from mapreplay.errors import LogError
+from mapreplay.errors import LogError, UsageError
 
 if TYPE_CHECKING:
     from mapreplay.analysis.episodes import EpisodeRow
+    from mapreplay.recorders.log import EpisodeLog
 
 LOST = 3
 
@@ -45,4 +46,32 @@ def choose(paths: list[Path], where: list[str] | None) -> tuple[list[EpisodeRow]
         raise LogError(unreadable[0])
     for line in unreadable:
         note(f"unreadable: {line}")
-    return [row for row in rows if all(c.holds(row) for c in conditions)], len(unreadable)
+    chosen = [row for row in rows if all(c.holds(row) for c in conditions)]
+    if rows and not chosen:
+        note(f"none of {len(rows)} episodes is like that")
+    return chosen, len(unreadable)
+
+
+def open_log(path: Path) -> EpisodeLog:
+    """The log at `path`, or the only one in that folder or of that pattern.
+
+    That it is unfinished is said on stderr.
+
+    Raises:
+        LogError: there is none, or it cannot be read.
+        UsageError: there are several.
+    """
+    from mapreplay.recorders.log import EpisodeLog, find_logs
+
+    logs = find_logs([path])
+    if len(logs) > 1:
+        raise UsageError(f"{path}: {len(logs)} logs; name one of them, such as {logs[0]}")
+    log = EpisodeLog(logs[0])
+    if not log.finished:
+        note(f"{log.path}: unfinished; {len(log)} steps can be read")
+    return log
+
+
+LogArgument = Annotated[
+    Path, typer.Argument(help="The log, or a folder with one log.", show_default=False)
+]

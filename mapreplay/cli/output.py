@@ -27,6 +27,8 @@ class Format(StrEnum):
     PARQUET = "parquet"
 
 
+_BY_ENDING = {f".{form}": form for form in Format if form is not Format.TABLE}
+
 FormatOption = Annotated[Format, typer.Option("--format", help="How to print the result.")]
 OutputOption = Annotated[
     Path | None, typer.Option("--output", "-o", help="Write the result to this file.")
@@ -45,12 +47,16 @@ def emit(
 ) -> None:
     """Print `frame`; as a text table, `text` in its place, if that is given.
 
+    The ending of `output` (.json, .csv, .parquet) says its format unless `form` does.
+
     `schema` names the kind of result and its version, such as ``mapreplay.ls/1``, in JSON.
 
     Raises:
         UsageError: Parquet to a terminal, or an existing `output` without `force`.
         MapreplayError: `output` cannot be written.
     """
+    if output is not None and form is Format.TABLE:
+        form = _BY_ENDING.get(output.suffix, form)
     if form is Format.PARQUET and output is None and sys.stdout.isatty():
         raise UsageError("Parquet is binary: name a file with -o")
     if form is Format.PARQUET:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from mapreplay.recorders.batch import Task
 
 LOST = 3
+TRAINED_AT = 0.2
+"""Metres a cell of the floor plans that our predictors were trained on."""
 
 
 def run(
@@ -57,14 +60,21 @@ def run(
         typer.Option("--fail-safe/--no-fail-safe", help="Plan on observations while sealed in."),
     ] = None,
     start: Annotated[
-        str | None, typer.Option(help="ROW,COL (default: the top-left free cell).")
+        str | None,
+        typer.Option(
+            help="ROW,COL; row 0 is at the bottom, as in ROS (default: the top-left free cell)."
+        ),
     ] = None,
     max_steps: Annotated[
         int | None, typer.Option(help="Budget (default 4 x the explorable free cells).")
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Of the random choices (default 1).")] = None,
     episodes: Annotated[
-        int | None, typer.Option(help="How many (default: one for each floor plan).")
+        int | None,
+        typer.Option(
+            help="How many (default: one for each floor plan). More than there are plans: "
+            "again with the next seed, which changes only what is random."
+        ),
     ] = None,
     resolution: Annotated[
         float | None, typer.Option(help="Metres a cell, where it can be chosen.")
@@ -72,7 +82,9 @@ def run(
     prediction_dtype: Annotated[
         str | None, typer.Option(help="uint8 (default), uint16 or float32.")
     ] = None,
-    jobs: Annotated[int | None, typer.Option(help="Processes (default 1).")] = None,
+    jobs: Annotated[
+        int | None, typer.Option(help="Processes (default 1); each takes seconds to start.")
+    ] = None,
     device: Annotated[
         str | None, typer.Option(help="Of the predictor: cpu (default), cuda, ...")
     ] = None,
@@ -111,6 +123,12 @@ def run(
     tasks, lost = _plan_tasks(settings, folder, force=force)
     if not tasks:
         raise FloorPlanError(f"{settings.floorplans}: no floor plan is left to run on")
+    there = [task.path for task in tasks if task.path.exists()]
+    if there and not (resume or force):
+        raise UsageError(
+            f"{len(there)} of {len(tasks)} logs exist, such as {there[0]}; go on with --resume, "
+            "overwrite with --force, or choose another --out"
+        )
     # Refuse an unknown or broken planner or predictor before anything runs.
     load_planner(tasks[0].config.planner)
     loaded = load_predictor(tasks[0].config.predictor, settings.device)
@@ -127,7 +145,8 @@ def run(
     if logs:
         _print_results(logs, form)
         note(f"logs: {folder}")
-        note(f"next: mapreplay view {logs[0]}")
+        if sys.stdout.isatty():
+            note(f"next: mapreplay view {logs[0]}")
     failed = len(tasks) - len(done)
     if failed:
         note(f"{failed} of {len(tasks)} episodes failed; {_go_on(folder)}")
@@ -184,6 +203,12 @@ def _plan_tasks(settings: RunConfig, folder: Path, *, force: bool) -> tuple[list
                 Task(episode, floor_plan, folder, settings.device, settings.profile, force)
             )
     tasks.sort(key=lambda task: task.config.seed)
+    others = {task.floor_plan.resolution for task in tasks} - {TRAINED_AT}
+    if settings.predictor is None and others and tasks[0].config.predictor != "none":
+        note(
+            f"predictor {tasks[0].config.predictor} (by default) was trained at {TRAINED_AT} m a "
+            f"cell; here a cell has {', '.join(f'{r:g}' for r in sorted(others))} m"
+        )
     return tasks[: settings.episodes], refused + len(selection.missing)
 
 
@@ -252,7 +277,7 @@ def _watch(tasks: list[Task]) -> list[Path]:
     for task in tasks:
         predictor = load_predictor(task.config.predictor, task.device)
         episode = prepare_episode(task.config, task.floor_plan, predictor=predictor)
-        path = task.folder / episode.header.file_name
+        path = task.path
         with (
             LiveView(episode.header) as live,  # first: without a display nothing is recorded
             EpisodeWriter(path, episode.header, profile=task.profile, force=task.force) as writer,

@@ -26,7 +26,8 @@ def train(
     out: Annotated[Path, typer.Option(help="Weights to write: NAME.safetensors.")],
     ids: Annotated[Path | None, typer.Option(help="File with one id a line.")] = None,
     validate: Annotated[
-        str | None, typer.Option(help="Other floor plans, for the held-out curve.")
+        str | None,
+        typer.Option(help="Other floor plans, for the held-out curve; this or --hold-out."),
     ] = None,
     hold_out: Annotated[
         int,
@@ -57,6 +58,8 @@ def train(
     """
     if out.suffix != ".safetensors":
         raise UsageError(f"--out {out}: should end in .safetensors")
+    if validate is None and hold_out == 0:
+        raise UsageError("train: give plans to validate on, by --validate SPEC or --hold-out N")
     if out.exists() and not force:
         raise UsageError(f"{out} exists; choose another name, or --force")
     checkpoint = out.with_suffix(".checkpoint")

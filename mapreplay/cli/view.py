@@ -7,12 +7,13 @@ from typing import Annotated
 
 import typer
 
+from mapreplay.cli.logs import LogArgument, open_log
 from mapreplay.cli.output import ForceOption, note
 from mapreplay.errors import UsageError
 
 
 def view(
-    log: Annotated[Path, typer.Argument(help="The log.", show_default=False)],
+    log: LogArgument,
     save: Annotated[
         Path | None, typer.Option(help="Write a .rrd that opens with this layout instead.")
     ] = None,
@@ -26,10 +27,9 @@ def view(
     """
     if save and web:
         raise UsageError("view: choose one of --save and --web")
-    from mapreplay.recorders.log import EpisodeLog
     from mapreplay.recorders.rerun_view import open_viewer, save_rrd, serve_web
 
-    opened = EpisodeLog(log)
+    opened = open_log(log)
     if save is not None:
         save_rrd(save, opened.header, opened.steps(), force=force)
         note(f"written: {save}; open it with `rerun {save}`")

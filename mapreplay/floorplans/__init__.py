@@ -70,6 +70,21 @@ FOLDERS: Final[Mapping[str, Callable[[Path], bool]]] = {
 """The source that reads a folder: the first one whose question is answered with yes."""
 
 
+def _source_of(folder: Path) -> str | None:
+    """The source that reads `folder`.
+
+    Raises:
+        UsageError: it holds floor plans of more than one kind.
+    """
+    found = [source for source, holds in FOLDERS.items() if holds(folder)]
+    if "map_server" in found and "houseexpo" in found:
+        raise UsageError(
+            f"{folder}: holds HouseExpo houses and map_server maps; name one of the files, or "
+            f"houseexpo:{folder} or map_server:{folder}"
+        )
+    return found[0] if found else None
+
+
 def open_source(spec: str, resolution: float | None = None) -> FloorPlanSource:
     """The source that `spec` means.
 
@@ -95,7 +110,7 @@ def open_source(spec: str, resolution: float | None = None) -> FloorPlanSource:
         raise UsageError(f"{spec!r}: no such file or folder, and no source; {_understood()}")
     found = by_ending
     if path.is_dir():
-        found = next((source for source, holds in FOLDERS.items() if holds(path)), None)
+        found = _source_of(path)
     if found is None:
         raise UsageError(f"{spec}: not a floor plan, nor a folder of them; {_understood()}")
     return _open(found, spec, resolution)

@@ -60,7 +60,9 @@ def test_the_frame_has_its_columns_even_when_empty() -> None:
     assert empty.schema == full.schema
     assert full["mapping_time"].to_list() == [100, None]
     assert full.schema["fail_safe"] == pl.Boolean
-    assert brief(full)["maps"].to_list() == ["observed/observed"] * 2
+    both = brief(episode_frame([ROW, row(build="fused", floor_plan="f" * 32)]))
+    assert both["maps"].to_list() == ["observed", "observed/fused"]
+    assert both["floor_plan"].to_list() == ["p1", "f" * 15 + "…"]
 
 
 def test_reduction_is_one_minus_the_ratio_of_times() -> None:

@@ -98,7 +98,7 @@ def test_an_error_is_one_line_and_an_exit_code(
     assert "Traceback" not in result.err
 
 
-def test_run_writes_logs_and_says_what_to_type_next(cli: Run, tmp_path: Path) -> None:
+def test_run_writes_logs_and_says_where(cli: Run, tmp_path: Path) -> None:
     result = cli(
         "run", "--planner", "random", "--plan-on", "observed", "--build", "observed",
         "--floorplans", "procedural:7", "--episodes", 2, "--max-steps", 5, "--out", tmp_path / "o",
@@ -110,7 +110,7 @@ def test_run_writes_logs_and_says_what_to_type_next(cli: Run, tmp_path: Path) ->
         "procedural-7__random__observed-observed__s2.mcap",
     ]
     assert "procedural-7" in result.out
-    assert "next: mapreplay view " in result.err
+    assert f"logs: {tmp_path / 'o'}" in result.err
 
 
 def test_run_never_overwrites_without_force(cli: Run, tmp_path: Path) -> None:
@@ -120,8 +120,8 @@ def test_run_never_overwrites_without_force(cli: Run, tmp_path: Path) -> None:
     (log,) = tmp_path.iterdir()
     before = log.read_bytes()
     again = cli(*arguments)
-    assert again.code == 1
-    assert "exists" in again.err
+    assert again.code == 2
+    assert "1 of 1 logs exist" in again.err
     assert log.read_bytes() == before
     assert cli(*arguments, "--force").code == 0
     assert log.read_bytes() == before  # and the same run writes the same bytes
