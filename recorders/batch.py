@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
 import threading
 import time
@@ -193,7 +194,9 @@ def _ignoring_interrupts() -> Iterator[None]:
 
 def _work(connection: Connection) -> None:
     """The loop of a worker process: take a task, report, until None comes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(os, "setpgid"):
+        # Out of the group that Ctrl-C reaches: Polars heeds it even where Python ignores it.
+        os.setpgid(0, 0)
     try:
         while (item := connection.recv()) is not None:
             for report in record(*item):

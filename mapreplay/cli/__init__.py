@@ -7,8 +7,9 @@ completion are quick.
 from __future__ import annotations
 
 import os
+import signal
 import sys
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -65,6 +66,15 @@ app.add_typer(bench_app, name="bench")
 def main() -> None:
     """Entry point: every error is one line on stderr and an exit code."""
     try:
+        _run()
+    except KeyboardInterrupt:
+        # Ctrl-C can come twice: Polars raises it, and then Python does. Once is enough.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        _fail("interrupted", INTERRUPTED)
+
+
+def _run() -> None:
+    try:
         code = app(prog_name="mapreplay", standalone_mode=False)
     except MapreplayError as error:
         _fail(str(error), error.exit_code)
@@ -72,17 +82,17 @@ def main() -> None:
         context = getattr(error, "ctx", None)
         verb = context.command_path if context else "mapreplay"
         _fail(f"{error.format_message()} See `{verb} --help`.", error.exit_code)
-    except (typer.Abort, KeyboardInterrupt):
-        _fail("interrupted", INTERRUPTED)
+    except typer.Abort:
+        raise KeyboardInterrupt from None
     except BrokenPipeError:
         # Whoever read our output has seen enough; keep Python from complaining at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     if code == INTERRUPTED:  # what typer makes of Ctrl-C
-        _fail("interrupted", INTERRUPTED)
+        raise KeyboardInterrupt
     sys.exit(code if isinstance(code, int) else 0)
 
 
-def _fail(line: str, code: int) -> None:
+def _fail(line: str, code: int) -> NoReturn:
     print(f"mapreplay: {' '.join(line.split())}", file=sys.stderr)
     sys.exit(code)

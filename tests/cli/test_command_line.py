@@ -302,7 +302,7 @@ def test_ctrl_c_leaves_readable_logs_and_exit_code_130(cli: Run, tmp_path: Path)
         _, err = process.communicate(timeout=30)
         assert process.returncode == 130, err
         assert err.strip().splitlines()[-1] == "mapreplay: interrupted"
-        assert "Traceback" not in err
+        assert "Traceback" not in err, err
         listed = cli("ls", folder, "--format", "csv")
         assert listed.code in (0, 3)
         assert listed.out.count("\n") >= 1
