@@ -33,9 +33,9 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 
-ZSTD_LEVEL: Final = 1
-"""Sorted by channel, chunks get smaller than at zstd's own level 3, in less time. Level 6 would
-take 8 % off a log, and makes recording half as slow again."""
+ZSTD_LEVEL: Final = 6
+"""8 % smaller than level 1, for 0.04 ms a step at 64 x 64. Level 19 would take another 13 % and
+several milliseconds a step."""
 
 _MESSAGE: Final = struct.Struct("<BQHIQQ")
 _INDEX: Final = struct.Struct("<BQHI")
