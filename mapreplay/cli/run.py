@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from datetime import datetime
 from pathlib import Path
@@ -270,9 +271,15 @@ def _watch(tasks: list[Task]) -> list[Path]:
     """Record one episode after the other, showing each step as it happens."""
     from mapreplay.episode import prepare_episode, run_episode
     from mapreplay.predictors import load_predictor
-    from mapreplay.recorders.rerun_view import LiveView
+    from mapreplay.recorders.rerun_view import LiveView, require_display
     from mapreplay.recorders.writer import EpisodeWriter
 
+    try:
+        require_display(sys.platform, os.environ)
+    except UsageError:
+        raise UsageError(
+            "run --view: there is no display; run without it, then `mapreplay view LOG --web`"
+        ) from None
     done = []
     for task in tasks:
         predictor = load_predictor(task.config.predictor, task.device)

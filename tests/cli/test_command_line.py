@@ -250,6 +250,20 @@ def test_view_without_a_display_names_what_works(
     assert "--save" in result.err
 
 
+def test_watching_without_a_display_records_nothing(
+    cli: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if sys.platform != "linux":
+        pytest.skip("displays are looked for in the environment on Linux only")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    result = cli("run", "--view", "--floorplans", "procedural:1", "--out", tmp_path)
+    assert result.code == 2
+    assert result.err.count("\n") == 1
+    assert "mapreplay view LOG --web" in result.err
+    assert not list(tmp_path.iterdir())
+
+
 def test_floorplans_describes_and_previews(cli: Run, tmp_path: Path) -> None:
     sheet = tmp_path / "sheet.png"
     result = cli("floorplans", "procedural:1-3", "--preview", sheet, "--format", "json")

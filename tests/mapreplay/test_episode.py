@@ -4,6 +4,7 @@ from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -15,7 +16,7 @@ from mapreplay.episode import prepare_episode, run_episode
 from mapreplay.errors import MapreplayError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.floorplans.procedural import generate
-from mapreplay.grid import FREE, OCCUPIED, UNKNOWN
+from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from mapreplay.planners import Choice, Planner
 from mapreplay.planners.cost_utility import CostUtility
 from mapreplay.planners.nearest import NearestFrontier
@@ -203,6 +204,32 @@ def test_the_events_tell_the_headlines() -> None:
     first = by_kind[EventKind.CORRECT_REACHED]
     assert first.metrics.correct_coverage_observed >= 0.95
     assert steps[first.index - 1].metrics.correct_coverage_observed < 0.95
+
+
+class Moody:
+    """At every other step right and sure of all but one cell, between without an idea."""
+
+    identity = NoisyPredictor.identity
+
+    def __init__(self, picture: str) -> None:
+        self.right = np.where(draw(picture) == OCCUPIED, 1, 0).astype(np.float32)
+        self.right[1, 13] = 0.5
+        self.asked = 0
+
+    def predict(self, observed: Grid) -> npt.NDArray[np.float32]:
+        self.asked += 1
+        return self.right if self.asked % 2 else np.full_like(self.right, 0.5)
+
+
+def test_a_headline_that_is_reached_lost_and_reached_again_is_told_once() -> None:
+    steps = explore(
+        plan(TWO_ROOMS), Moody(TWO_ROOMS), plan_on="observed", build="fused", coverage=1,
+        correct_coverage=0.9, max_steps=6, start=(5, 1), reach=3, delta_occupied=1,
+    )  # fmt: skip
+    reached = [s.metrics.correct_coverage_fused >= 0.9 for s in steps]
+    assert reached[:4] == [True, False, True, False]
+    told = [s.index for s in steps for e in s.events if e.kind is EventKind.CORRECT_REACHED]
+    assert told == [0]
 
 
 def test_the_best_rivals_are_logged_best_first() -> None:
