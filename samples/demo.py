@@ -59,9 +59,7 @@ def main() -> None:
     """Record, compare, and say what to type next."""
     shutil.rmtree(OUT, ignore_errors=True)
     for name, options in (("observed", OBSERVED), ("fused", FUSED)):
-        mapreplay(
-            "run", *options, "--floorplans", FLOOR_PLANS, "--jobs", "2", "--out", f"{OUT}/{name}"
-        )
+        mapreplay("run", *options, "--floorplans", FLOOR_PLANS, "--out", f"{OUT}/{name}")
     rows = {
         name: [episode_row(path) for path in find_logs([OUT / name])]
         for name in ("observed", "fused")
