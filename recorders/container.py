@@ -174,11 +174,12 @@ class Channels:
 
 
 class Unpacked(NamedTuple):
-    """A message, and the topic and the step that it is of."""
+    """A message, the topic and the step that it is of, and the time at which it is logged."""
 
     topic: str
     step: int
     data: memoryview
+    log_time: int
 
 
 def unpack(
@@ -205,13 +206,14 @@ def unpack(
         if position > len(records):
             raise ValueError("a record is longer than its chunk")
         if opcode == Opcode.MESSAGE:
-            channel, sequence, _, _ = _MESSAGE.unpack_from(records, start)
+            channel, sequence, log_time, _ = _MESSAGE.unpack_from(records, start)
             topic = known.get(channel) or channels.topic(channel)
             count += 1
             if count > MAX_MESSAGES_A_CHUNK:
                 check_count("messages in a chunk", count, MAX_MESSAGES_A_CHUNK)
             if wanted is None or topic in wanted:
-                yield Unpacked(topic, sequence, view[start + _MESSAGE.size : position])
+                data = view[start + _MESSAGE.size : position]
+                yield Unpacked(topic, sequence, data, log_time)
         elif opcode == Opcode.CHANNEL:
             channels.declare(records[start:position])
         elif opcode == Opcode.SCHEMA:

@@ -323,10 +323,15 @@ def _steps_of(
 
     All messages of a step are in one chunk, in any order. `channels` learns those that the
     chunks declare.
+
+    Raises:
+        ValueError: a message is logged at another time than its step's.
     """
     for records in chunks:
         steps: dict[int, dict[str, list[memoryview]]] = {}
-        for topic, step, data in unpack(records, channels, {*wanted, Topic.METRICS}):
+        for topic, step, data, log_time in unpack(records, channels, {*wanted, Topic.METRICS}):
+            if log_time != FIRST_STAMP_NS + step * STEP_NS:
+                raise ValueError(f"a message of step {step} is logged at {log_time} ns")
             steps.setdefault(step, {}).setdefault(topic, []).append(data)
         for step in sorted(steps):
             if Topic.METRICS in steps[step]:

@@ -27,10 +27,21 @@ from mapreplay.planners import Choice, Planner
 from mapreplay.planning import Situation
 from mapreplay.predictors import NoPredictor, Predictor
 from mapreplay.recorders import table
+from mapreplay.recorders.container_writer import ContainerWriter
 from mapreplay.recorders.log import EpisodeLog
 from mapreplay.recorders.metadata import outcome_pairs
 from mapreplay.recorders.writer import EpisodeWriter
-from mapreplay.step import Decision, EpisodeHeader, EventKind, Mode, Outcome, Step, StepMetrics
+from mapreplay.step import (
+    FIRST_STAMP_NS,
+    STEP_NS,
+    Decision,
+    EpisodeHeader,
+    EventKind,
+    Mode,
+    Outcome,
+    Step,
+    StepMetrics,
+)
 from recordings import THREE_ROOMS, BlurPredictor, Recorded
 
 K = 23
@@ -438,7 +449,14 @@ def test_an_end_before_the_end(true: Recorded, tmp_path: Path) -> None:
 
 def test_a_stamp(true: Recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stamp = Step.stamp_ns.fget  # type: ignore[attr-defined]
+    add = ContainerWriter.add_message
+
+    def add_in_time(self: ContainerWriter, channel: int, k: int, _: int, data: bytes) -> None:
+        # A message that is logged at another time is refused when it is read.
+        add(self, channel, k, FIRST_STAMP_NS + k * STEP_NS, data)
+
     with monkeypatch.context() as lying:
+        lying.setattr(ContainerWriter, "add_message", add_in_time)
         lying.setattr(Step, "stamp_ns", property(lambda step: stamp(step) + (step.index == K)))
         log = write(tmp_path, true.header, true.steps)
     found = verify(log, shown=100).differences

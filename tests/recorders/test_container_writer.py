@@ -83,7 +83,7 @@ def test_our_reader_gets_back_what_was_sent(chunks: list[list[tuple[str, bytes]]
     got = [
         (topic, step, bytes(data))
         for record in read_records(file, wanted={Opcode.CHUNK})
-        for topic, step, data in unpack(read_chunk(record.body), channels)
+        for topic, step, data, _ in unpack(read_chunk(record.body), channels)
     ]
     assert sorted(got) == sorted(sent)
 

@@ -11,6 +11,7 @@ from mcap.writer import Writer
 from mapreplay.errors import LogError
 from mapreplay.recorders import metadata
 from mapreplay.recorders.container import read_records
+from mapreplay.recorders.container_writer import ContainerWriter
 from mapreplay.recorders.log import EpisodeLog
 from mapreplay.recorders.writer import EpisodeWriter
 from mapreplay.step import differences
@@ -218,3 +219,20 @@ def test_a_log_may_be_moved(blurred: Recorded, tmp_path: Path) -> None:
     moved = tmp_path / "any name, really.mcap"
     shutil.copy(blurred.path, moved)
     assert read_all(moved).finished
+
+
+def test_a_message_that_is_logged_at_another_time_is_refused(
+    tmp_path: Path, blurred: Recorded, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    add = ContainerWriter.add_message
+
+    def add_late(self: ContainerWriter, channel: int, sequence: int, ns: int, data: bytes) -> None:
+        add(self, channel, sequence, ns + (sequence == 2), data)
+
+    monkeypatch.setattr(ContainerWriter, "add_message", add_late)
+    path = tmp_path / "late.mcap"
+    with EpisodeWriter(path, blurred.header) as writer:
+        for step in blurred.steps:
+            writer.write(step)
+    with pytest.raises(LogError, match="a message of step 2 is logged at 1200000001 ns"):
+        list(EpisodeLog(path))

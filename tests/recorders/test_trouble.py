@@ -4,6 +4,7 @@ import os
 import resource
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from mapreplay.recorders.log import EpisodeLog
 from mapreplay.recorders.writer import EpisodeWriter
 from recordings import Recorded
 
+NOBODY = 65534
 TESTS = str(Path(__file__).parents[1] / "helpers")
 
 WRITE = """
@@ -85,12 +87,20 @@ def test_a_folder_that_cannot_be_written_is_a_clear_error(blurred: Recorded) -> 
             EpisodeWriter(folder / "a.mcap", blurred.header)
 
 
-def test_a_read_only_folder_is_a_clear_error(blurred: Recorded, tmp_path: Path) -> None:
-    if os.geteuid() == 0:
-        pytest.skip("root may write everywhere")
-    tmp_path.chmod(0o500)
-    with pytest.raises(LogError, match=r"cannot be written \(Permission denied\)"):
-        EpisodeWriter(tmp_path / "a.mcap", blurred.header)
+def test_a_read_only_folder_is_a_clear_error(blurred: Recorded) -> None:
+    as_root = os.geteuid() == 0
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        folder.chmod(0o555)
+        if as_root:
+            os.seteuid(NOBODY)  # root may write everywhere
+        try:
+            with pytest.raises(LogError, match=r"cannot be written \(Permission denied\)"):
+                EpisodeWriter(folder / "a.mcap", blurred.header)
+        finally:
+            if as_root:
+                os.seteuid(0)
+            folder.chmod(0o755)
 
 
 @pytest.fixture
