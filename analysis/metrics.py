@@ -74,9 +74,10 @@ def load_metric(name: str) -> Metric:
 
 @dataclass(frozen=True)
 class Measured:
-    """A step's metrics, computed again."""
+    """A step's metrics, as recorded and computed again."""
 
     step: int
+    recorded: StepMetrics
     metrics: StepMetrics
     extra: tuple[float, ...]
 
@@ -110,7 +111,7 @@ def recompute(
         values = tuple(
             _guarded(name, metric, header, cells, step) for name, metric in (extra or {}).items()
         )
-        yield Measured(step.index, metrics, values)
+        yield Measured(step.index, step.metrics, metrics, values)
 
 
 def _guarded(name: str, metric: Metric, header: EpisodeHeader, region: Mask, step: Step) -> float:
@@ -138,9 +139,9 @@ class Disagreement:
         )
 
 
-def disagreements(recorded: StepMetrics, measured: Measured) -> list[Disagreement]:
+def disagreements(measured: Measured) -> list[Disagreement]:
     """Where the two differ at all: both come from the same arithmetic on the same maps."""
-    pairs = zip(asdict(recorded).items(), asdict(measured.metrics).values(), strict=True)
+    pairs = zip(asdict(measured.recorded).items(), asdict(measured.metrics).values(), strict=True)
     return [
         Disagreement(measured.step, name, old, new)
         for (name, old), new in pairs

@@ -40,7 +40,7 @@ from mapreplay.predictors import Predictor, load_predictor
 from mapreplay.recorders import table
 from mapreplay.recorders.log import EpisodeLog
 from mapreplay.recorders.messages import Messages, Topic, stamp_ns_of
-from mapreplay.recorders.metadata import EPISODE_RECORD, OUTCOME_RECORD, EpisodeSummary
+from mapreplay.recorders.metadata import EPISODE_RECORD, NO_STEPS, OUTCOME_RECORD
 from mapreplay.sensor import Hits, accumulate, sense
 from mapreplay.step import OURS, Decision, EpisodeHeader, PredictorIdentity, Step
 
@@ -266,7 +266,7 @@ class _Ending:
     def __init__(self, log: EpisodeLog) -> None:
         self._config = log.header.config
         self._logged = log.summary
-        self._expected: EpisodeSummary | None = None
+        self._expected = NO_STEPS
         self._rows: Iterator[table.Row] = iter(())
         self._columns: list[str] = []
         if log.summary is not None:
@@ -277,7 +277,7 @@ class _Ending:
         """Compare the row of the attachment with its step."""
         if self._logged is None:
             return
-        self._expected = self._with(step)
+        self._expected = self._expected.after(step, self._config)
         expected = table.row_of(step)
         row = next(self._rows, None)
         if row is None or len(row) != len(expected):
@@ -291,7 +291,7 @@ class _Ending:
 
     def close(self) -> Iterator[Difference]:
         """After the last step: compare the summary, and look for rows without a step."""
-        if self._logged is None or self._expected is None:
+        if self._logged is None or self._expected is NO_STEPS:
             return
         expected = asdict(self._expected)
         for name, value in asdict(self._logged).items():
@@ -300,19 +300,6 @@ class _Ending:
         further = sum(1 for _ in self._rows)
         if further:
             yield Difference(None, table.ATTACHMENT, "further rows", None, further, 0)
-
-    def _with(self, step: Step) -> EpisodeSummary:
-        """The summary of the steps so far."""
-        config, metrics, past = self._config, step.metrics, self._expected
-        mapping_time = past.mapping_time if past else None
-        if mapping_time is None and metrics.coverage(config.build) >= config.coverage:
-            mapping_time = step.index
-        correct_time = past.correct_time if past else None
-        right = metrics.correct_coverage(config.build)
-        if correct_time is None and right >= config.correct_coverage:
-            correct_time = step.index
-        length = metrics.path_length
-        return EpisodeSummary(step.outcome, step.index, mapping_time, correct_time, length)
 
 
 def _load(header: EpisodeHeader, device: str) -> tuple[Predictor, Planner]:

@@ -203,10 +203,6 @@ class Step:
         """The decision's mode; normal where nothing was decided."""
         return self.decision.mode if self.decision else Mode.NORMAL
 
-    def map_of(self, kind: MapKind) -> Grid:
-        """The observed or the fused map."""
-        return self.observed if kind is MapKind.OBSERVED else self.fused
-
 
 @dataclass(frozen=True)
 class PredictorIdentity:

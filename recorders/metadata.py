@@ -21,7 +21,7 @@ from mapreplay.errors import LogError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.grid import Cell
 from mapreplay.recorders.limits import MAX_STEPS
-from mapreplay.step import OURS, EpisodeHeader, Outcome, PredictorIdentity
+from mapreplay.step import OURS, EpisodeHeader, Outcome, PredictorIdentity, Step
 
 FORMAT_VERSION: Final = 1
 EPISODE_RECORD: Final = "mapreplay.episode"
@@ -44,6 +44,22 @@ class EpisodeSummary:
     """The first step at which its correct coverage reached `config.correct_coverage`."""
     path_length: float
     """Metres."""
+
+    def after(self, step: Step, config: EpisodeConfig) -> EpisodeSummary:
+        """The summary with one more step, the next, counted."""
+        metrics, mapping_time, correct_time = step.metrics, self.mapping_time, self.correct_time
+        if mapping_time is None and metrics.coverage(config.build) >= config.coverage:
+            mapping_time = step.index
+        right = metrics.correct_coverage(config.build)
+        if correct_time is None and right >= config.correct_coverage:
+            correct_time = step.index
+        return EpisodeSummary(
+            step.outcome, step.index, mapping_time, correct_time, metrics.path_length
+        )
+
+
+NO_STEPS: Final = EpisodeSummary(None, -1, None, None, 0.0)
+"""Before the first step."""
 
 
 def episode_pairs(header: EpisodeHeader) -> dict[str, str]:

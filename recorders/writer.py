@@ -23,13 +23,13 @@ from mapreplay.recorders.messages import (
 )
 from mapreplay.recorders.metadata import (
     EPISODE_RECORD,
+    NO_STEPS,
     OUTCOME_RECORD,
-    EpisodeSummary,
     episode_pairs,
     outcome_pairs,
 )
 from mapreplay.recorders.schemas import MESSAGE_ENCODING, SCHEMA_ENCODING, schema_text
-from mapreplay.step import FIRST_STAMP_NS, EpisodeHeader, Outcome, Step
+from mapreplay.step import FIRST_STAMP_NS, EpisodeHeader, Step
 
 STEPS_A_CHUNK: Final = 20
 """What a kill may cost at most."""
@@ -157,7 +157,7 @@ class EpisodeWriter:
         self._finish()
 
     def _finish(self) -> None:
-        summary = self._tally.summary()
+        summary = self._tally.summary
         with self._writing():
             self._flush()
             parquet = table.to_parquet(table.table_of(self._tally.rows))
@@ -220,16 +220,13 @@ class _Tally:
 
     def __init__(self, header: EpisodeHeader) -> None:
         self.rows: list[table.Row] = []
+        self.summary = NO_STEPS
         self._config = header.config
-        self._outcome: Outcome | None = None
-        self._mapping_time: int | None = None
-        self._correct_time: int | None = None
-        self._path_length = 0.0
 
     @property
     def ended(self) -> bool:
         """Whether the last step of the episode was counted."""
-        return self._outcome is not None
+        return self.summary.outcome is not None
 
     def add(self, step: Step) -> None:
         """Count a step.
@@ -240,24 +237,7 @@ class _Tally:
         if self.ended or step.index != len(self.rows):
             raise ValueError(f"step {step.index} does not follow {len(self.rows)} steps")
         self.rows.append(table.row_of(step))
-        metrics, config = step.metrics, self._config
-        if self._mapping_time is None and metrics.coverage(config.build) >= config.coverage:
-            self._mapping_time = step.index
-        correct = metrics.correct_coverage(config.build)
-        if self._correct_time is None and correct >= config.correct_coverage:
-            self._correct_time = step.index
-        self._path_length = metrics.path_length
-        self._outcome = step.outcome
-
-    def summary(self) -> EpisodeSummary:
-        """How the episode ended, as far as that was counted."""
-        return EpisodeSummary(
-            self._outcome,
-            len(self.rows) - 1,
-            self._mapping_time,
-            self._correct_time,
-            self._path_length,
-        )
+        self.summary = self.summary.after(step, self._config)
 
 
 def _create(part: Path, *, force: bool) -> BinaryIO:

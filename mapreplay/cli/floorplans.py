@@ -8,13 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mapreplay.cli.output import ForceOption, Format, FormatOption, OutputOption, emit, note
+from mapreplay.cli.output import LOST, ForceOption, Format, FormatOption, OutputOption, emit, note
 from mapreplay.errors import FloorPlanError
 
 if TYPE_CHECKING:
     from mapreplay.floorplan import FloorPlan
-
-LOST = 3
 
 
 def floorplans(

@@ -5,9 +5,7 @@ from __future__ import annotations
 import typer
 
 from mapreplay.cli.logs import LogArgument, open_log
-from mapreplay.cli.output import ForceOption, Format, FormatOption, OutputOption, emit
-
-LOST = 3
+from mapreplay.cli.output import LOST, ForceOption, Format, FormatOption, OutputOption, emit
 
 
 def info(

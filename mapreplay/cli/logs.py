@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from mapreplay.analysis.episodes import EpisodeRow
     from mapreplay.recorders.log import EpisodeLog
 
-LOST = 3
 
 PathsArgument = Annotated[
     list[Path], typer.Argument(help="Logs, folders of logs, or globs.", show_default=False)

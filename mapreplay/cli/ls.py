@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import typer
 
-from mapreplay.cli.logs import LOST, PathsArgument, WhereOption, choose
-from mapreplay.cli.output import ForceOption, Format, FormatOption, OutputOption, emit
+from mapreplay.cli.logs import PathsArgument, WhereOption, choose
+from mapreplay.cli.output import LOST, ForceOption, Format, FormatOption, OutputOption, emit
 
 
 def ls(

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from mapreplay.cli.logs import LOST, PathsArgument, WhereOption, choose
-from mapreplay.cli.output import ForceOption, Format, FormatOption, OutputOption, emit, note
+from mapreplay.cli.logs import PathsArgument, WhereOption, choose
+from mapreplay.cli.output import LOST, ForceOption, Format, FormatOption, OutputOption, emit, note
 from mapreplay.errors import LogError, UsageError
 
 SHOWN = ("step", "coverage_observed", "coverage_fused", "correct_coverage_fused", "precision",
@@ -69,8 +69,7 @@ def metrics(
             )
         )
         if as_recorded:
-            for step, again in zip(log.steps(), measured, strict=True):
-                wrong += [f"{row.file}: {d}" for d in disagreements(step.metrics, again)]
+            wrong += [f"{row.file}: {d}" for step in measured for d in disagreements(step)]
         frame = metrics_frame(measured, list(extra))
         frames.append(frame.insert_column(0, pl.Series("file", [row.file] * len(frame))))
     if not frames:

@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     import polars as pl
 
 
+LOST = 3
+"""Exit code: done, but something was lost or could not be read."""
+
+
 class Format(StrEnum):
     """How a result is printed."""
 

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from mapreplay.cli.logs import LOST, PathsArgument
-from mapreplay.cli.output import ForceOption, Format, FormatOption, OutputOption, emit, note
+from mapreplay.cli.logs import PathsArgument
+from mapreplay.cli.output import LOST, ForceOption, Format, FormatOption, OutputOption, emit, note
 from mapreplay.errors import LogError
 
 

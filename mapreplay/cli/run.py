@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mapreplay.cli.output import ForceOption, Format, FormatOption, emit, note
+from mapreplay.cli.output import LOST, ForceOption, Format, FormatOption, emit, note
 from mapreplay.errors import FloorPlanError, MapreplayError, UsageError
 
 if TYPE_CHECKING:
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from mapreplay.predictors import Predictor
     from mapreplay.recorders.batch import Task
 
-LOST = 3
 TRAINED_AT = 0.2
 """Metres a cell of the floor plans that our predictors were trained on."""
 

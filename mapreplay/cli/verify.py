@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mapreplay.cli.logs import LOST, PathsArgument, WhereOption
-from mapreplay.cli.output import ForceOption, Format, FormatOption, OutputOption, emit, note
+from mapreplay.cli.logs import PathsArgument, WhereOption
+from mapreplay.cli.output import LOST, ForceOption, Format, FormatOption, OutputOption, emit, note
 from mapreplay.errors import MapreplayError, PluginError, UsageError
 
 if TYPE_CHECKING:
