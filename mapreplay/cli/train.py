@@ -41,6 +41,13 @@ def train(
     batch: Annotated[int, typer.Option(min=1, help="Maps of 64 x 64 cells a batch.")] = 32,
     learning_rate: Annotated[float, typer.Option(help="Peak.")] = 2e-3,
     seed: Annotated[int, typer.Option(min=0, help="Of weights, order and observations.")] = 0,
+    loss_region: Annotated[
+        str,
+        typer.Option(help="Cells that count in the loss: all (the paper's), or explorable."),
+    ] = "all",
+    init: Annotated[
+        Path | None, typer.Option(help="Weights to start from, instead of random ones.")
+    ] = None,
     validate_every: Annotated[
         int, typer.Option(min=1, help="Samples between points of the curve and checkpoints.")
     ] = 25_000,
@@ -72,8 +79,13 @@ def train(
 
     from mapreplay.cli.progress import progress_bar
     from mapreplay.floorplans import open_source, read_ids, select
-    from mapreplay.training.loop import CurvePoint, Trainer, TrainingConfig, finish
+    from mapreplay.predictors.weights import file_sha256, load_tensors
+    from mapreplay.training.loop import CurvePoint, LossRegion, Trainer, TrainingConfig, finish
 
+    if loss_region not in list(LossRegion):
+        raise UsageError(f"--loss-region {loss_region}: choose {' or '.join(LossRegion)}")
+    if init is not None:
+        load_tensors(init)  # refused now, and not when all plans are loaded
     if threads is not None:
         torch.set_num_threads(threads)
     config = TrainingConfig(
@@ -82,6 +94,8 @@ def train(
         learning_rate=learning_rate,
         seed=seed,
         validate_every=validate_every,
+        loss_region=LossRegion(loss_region),
+        init_sha256=file_sha256(init) if init else "",
         bfloat16=bfloat16,
     )
     source = open_source(floorplans, resolution)
@@ -96,6 +110,8 @@ def train(
     if not held:
         raise UsageError("nothing to validate on: give --validate or --hold-out")
     trainer = Trainer(_load("training", source, wanted), held, config, device, checkpoint)
+    if init is not None:
+        trainer.start_from(init)
     if resume and checkpoint.exists():
         trainer.resume()
         note(f"goes on after {trainer.samples} samples")

@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from mapreplay.errors import UsageError, WeightsError
+from mapreplay.errors import UsageError
 from mapreplay.grid import Grid
 from mapreplay.predictors.network import MapPredictor, one_hot, pad_to_multiple
-from mapreplay.predictors.weights import file_sha256, load_tensors
+from mapreplay.predictors.weights import file_sha256, load_state, load_tensors
 from mapreplay.step import PredictorIdentity
 
 WEIGHTS: Final = Path(__file__).parent / "weights_v1"
@@ -45,11 +45,7 @@ def load_network(path: Path, device: str, name: str | None = None) -> TrainedPre
     torch.set_num_threads(1)  # episodes run in parallel, and a map is too small to share
     tensors, _ = load_tensors(path)
     model = MapPredictor()
-    try:
-        model.load_state_dict(tensors)
-    except RuntimeError as error:
-        reason = " ".join(str(error).split())[:120]
-        raise WeightsError(f"{path}: not the weights of this network ({reason})") from None
+    load_state(model, tensors, path)
     try:
         # torch's own annotations do not know memory_format
         model = model.eval().to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]

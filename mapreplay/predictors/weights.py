@@ -37,6 +37,10 @@ class ModelCard:
     sha256: str
     """Of the safetensors file."""
     command: str
+    loss_region: str = "all"
+    """Cells that counted in the loss: all, or the explorable ones."""
+    init_sha256: str = ""
+    """Of the weights that the training started from; empty: random ones."""
     curve: list[dict[str, float]] = field(default_factory=list)
 
     def write(self, path: Path) -> None:
@@ -77,3 +81,16 @@ def load_tensors(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
     except (SafetensorError, ValueError) as error:
         reason = " ".join(str(error).split())[:120]
         raise WeightsError(f"{path}: not a safetensors file ({reason})") from None
+
+
+def load_state(model: torch.nn.Module, tensors: Mapping[str, torch.Tensor], path: Path) -> None:
+    """Put `tensors`, read from `path`, into `model`.
+
+    Raises:
+        WeightsError: they are those of another network.
+    """
+    try:
+        model.load_state_dict(tensors)
+    except RuntimeError as error:
+        reason = " ".join(str(error).split())[:120]
+        raise WeightsError(f"{path}: not the weights of this network ({reason})") from None

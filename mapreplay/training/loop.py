@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
+from enum import StrEnum
 from pathlib import Path
 from typing import Final
 
@@ -17,11 +18,27 @@ from torch.nn import functional
 from mapreplay import scores
 from mapreplay.errors import WeightsError
 from mapreplay.predictors.network import MapPredictor, one_hot
-from mapreplay.predictors.weights import ModelCard, file_sha256, load_tensors, save_tensors
+from mapreplay.predictors.weights import (
+    ModelCard,
+    file_sha256,
+    load_state,
+    load_tensors,
+    save_tensors,
+)
 from mapreplay.training.dataset import Batch, Epoch, TrainingPlan, make_batch, padded_shape
 
 VALIDATION_SEED: Final = 2**63
 """Apart from every training seed, so that no validation observation was trained on."""
+
+
+class LossRegion(StrEnum):
+    """Which cells of a map count in the loss."""
+
+    ALL = "all"
+    """The paper's: every cell, also those that no agent could ever see."""
+    EXPLORABLE = "explorable"
+    """Those that coverage counts. So p_wall is the probability of a wall *given that the cell
+    can be mapped at all*: what is confident about it is confident about what is to be mapped."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +54,9 @@ class TrainingConfig:
     seed: int = 0
     validate_every: int = 25_000
     """Samples between two points of the held-out curve."""
+    loss_region: LossRegion = LossRegion.ALL
+    init_sha256: str = ""
+    """Of the weights that the training starts from; empty: random ones."""
     bfloat16: bool = False
     """Compute in bfloat16 where that is allowed: over twice as fast on a CPU with AMX."""
 
@@ -153,13 +173,16 @@ class Trainer:
         return logits[:, 0].float()
 
     def _loss(self, batch: Batch) -> torch.Tensor:
-        """Binary cross-entropy (paper, section "Optimization"), mean over known cells."""
+        """Binary cross-entropy (paper, section "Optimization"), mean over the loss region."""
         truth = torch.from_numpy(batch.truth).to(self.device)
         loss = functional.binary_cross_entropy_with_logits(
             self._logits(batch), (truth > 0).float(), reduction="none"
         )
-        known = truth >= 0
-        return (loss * known).sum() / known.sum()
+        if self.config.loss_region is LossRegion.EXPLORABLE:
+            counted = torch.from_numpy(batch.explorable).to(self.device)
+        else:
+            counted = truth >= 0
+        return (loss * counted).sum() / counted.sum()
 
     def _curve_point(self) -> CurvePoint:
         state = self.state
@@ -186,6 +209,15 @@ class Trainer:
             for said, truth, region in zip(raw, batch.truth, batch.explorable, strict=True):
                 counts += scores.tally(said, truth, region)
         return float(np.average(losses, weights=sizes)), scores.score(counts).f1
+
+    def start_from(self, weights: Path) -> None:
+        """Start from trained weights (`TrainingConfig.init_sha256`) instead of random ones.
+
+        Raises:
+            WeightsError: they cannot be read, or are of another network.
+        """
+        tensors, _ = load_tensors(weights)
+        load_state(self.model, tensors, weights)
 
     def save(self) -> None:
         """Write the checkpoint: weights, optimizer and position, nothing pickled."""
@@ -245,6 +277,8 @@ def finish(
         plans=len(trainer.plans),
         samples=last.samples,
         seed=trainer.config.seed,
+        loss_region=trainer.config.loss_region,
+        init_sha256=trainer.config.init_sha256,
         seconds=last.seconds,
         device=str(trainer.device),
         train_loss=last.train_loss,
