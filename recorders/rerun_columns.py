@@ -11,19 +11,22 @@ import numpy.typing as npt
 import rerun as rr
 
 from mapreplay.floorplan import explorable
-from mapreplay.grid import FREE, OCCUPIED, Grid, Mask, Quantized
-from mapreplay.mapping import dequantize
-from mapreplay.recorders.rerun_layout import (
+from mapreplay.recorders.palette import (
     AGENT_COLOUR,
     CELL_COLOURS,
     CURVE_COLOURS,
     FRONTIER_COLOUR,
     PLAN_COLOUR,
     RAYS_COLOUR,
-    TIMELINE,
     CellClass,
-    Entity,
+)
+from mapreplay.recorders.rerun_layout import TIMELINE, Entity, curve_path
+from mapreplay.recorders.scene import (
+    cell_classes,
     curves,
+    display_probability,
+    error_classes,
+    rays_of,
 )
 from mapreplay.step import EpisodeHeader, EventKind, Step
 
@@ -87,7 +90,7 @@ class EpisodeColumns:
         self._send_plan(index, steps)
         for curve in curves(self._header):
             values = [getattr(step.metrics, curve.value) for step in steps]
-            self._send(curve.below(self._root), index, rr.Scalars.columns(scalars=values))
+            self._send(curve_path(curve, self._root), index, rr.Scalars.columns(scalars=values))
         self._send_events(steps)
 
     def _send(self, path: str, index: rr.TimeColumn, columns: rr.ComponentColumnList) -> None:
@@ -123,7 +126,7 @@ class EpisodeColumns:
 
         rays = np.concatenate([ray_strips(step, self._header) for step in steps])
         columns = rr.LineStrips2D.columns(strips=rays)
-        columns = columns.partition([self._header.sensor.rays] * len(steps))
+        columns = columns.partition([len(step.hits) for step in steps])
         self._send(Entity.RAYS.below(self._root), index, columns)
 
     def _send_plan(self, index: rr.TimeColumn, steps: Sequence[Step]) -> None:
@@ -160,9 +163,7 @@ class EpisodeColumns:
         truth = as_pictures([cell_classes(self._header.floor_plan.cells)])
         line, cells = rr.LineStrips2D.from_fields, rr.SegmentationImage.from_fields
         entities: dict[Entity, rr.AsComponents] = {
-            Entity.MAPS: rr.AnnotationContext(
-                [(c, c.name.lower().replace("_", " "), CELL_COLOURS[c]) for c in CellClass]
-            ),
+            Entity.MAPS: rr.AnnotationContext([(c, c.label, CELL_COLOURS[c]) for c in CellClass]),
             Entity.TRUTH: cells(buffer=truth[0], format=picture, opacity=1.0),
             Entity.OBSERVED: cells(format=picture, opacity=1.0),
             Entity.FUSED: cells(format=picture, opacity=1.0),
@@ -183,7 +184,7 @@ class EpisodeColumns:
             self._recording.log(entity.below(self._root), components, static=True)
         for curve in curves(self._header):
             style = rr.SeriesLines(colors=[CURVE_COLOURS[curve]], names=[curve.label], widths=[2.0])
-            self._recording.log(curve.below(self._root), style, static=True)
+            self._recording.log(curve_path(curve, self._root), style, static=True)
 
 
 def as_pictures(grids: Sequence[npt.NDArray[np.uint8]]) -> npt.NDArray[np.uint8]:
@@ -201,46 +202,10 @@ def centres(cells: npt.NDArray[np.integer], height: int) -> Points:
     return np.stack([cols + 0.5, height - 1 - rows + 0.5], axis=1).astype(np.float32)
 
 
-def cell_classes(cells: Grid) -> npt.NDArray[np.uint8]:
-    """uint8[H, W] of `CellClass`: unknown, free or occupied."""
-    classes = np.full(cells.shape, CellClass.UNKNOWN, np.uint8)
-    classes[cells == FREE] = CellClass.FREE
-    classes[cells == OCCUPIED] = CellClass.OCCUPIED
-    return classes
-
-
-def error_classes(cells: Grid, truth: Grid, region: Mask) -> npt.NDArray[np.uint8]:
-    """uint8[H, W] of `CellClass`: `cells` with its mistakes marked.
-
-    What is right keeps its class, and what is still unknown, too. Cells outside of `region`
-    (bool[H, W], the explorable ones) are a class of their own: there is no right or wrong.
-    """
-    classes = cell_classes(cells)
-    classes[(cells == OCCUPIED) & (truth == FREE)] = CellClass.FALSE_WALL
-    classes[(cells == FREE) & (truth == OCCUPIED)] = CellClass.FALSE_FREE
-    classes[~region] = CellClass.NOT_EXPLORABLE
-    return classes
-
-
-def display_probability(p_wall: Quantized) -> npt.NDArray[np.uint8]:
-    """uint8[H, W]: P(occupied) of 0..1 as 0..255, rounded, for display only."""
-    return np.rint(dequantize(p_wall) * 255).astype(np.uint8)
-
-
 def ray_strips(step: Step, header: EpisodeHeader) -> Points:
-    """float32[rays, 2, 2]: each ray from the agent to the centre of the last cell it marked.
-
-    That is where it hit, or the end of its range or of the grid. Without a scan all have no
-    length.
-    """
-    height, width = header.floor_plan.shape
-    sensor = header.sensor
-    cells = np.asarray(step.agent) + sensor.offsets
-    inside = ((cells >= 0) & (cells < (height, width))).all(axis=2)
-    hits = step.hits if len(step.hits) else np.zeros(sensor.rays, np.int16)
-    reached = np.where(hits > 0, hits, inside.sum(axis=1) if len(step.hits) else 0)
-    ends = cells[np.arange(sensor.rays), reached - 1]
-    ends[reached == 0] = step.agent
+    """float32[n, 2, 2]: each ray of a step from the agent to the last cell that it marked."""
+    height = header.floor_plan.shape[0]
+    ends = rays_of(step, header).ends
     starts = np.broadcast_to(np.asarray(step.agent), ends.shape)
     return np.stack([centres(starts, height), centres(ends, height)], axis=1)
 

@@ -1,60 +1,21 @@
-"""How an episode looks in Rerun: entity paths, colours, and the arrangement of the views.
-
-The colours are those of Okabe and Ito (2008), which people with any kind of colour blindness
-can tell apart. A colour means the same in every view.
-"""
+"""How an episode looks in Rerun: entity paths, and the arrangement of the views."""
 
 from __future__ import annotations
 
-from enum import IntEnum, StrEnum
-from typing import Final, TypeAlias
+from enum import StrEnum
+from typing import Final
 
 import rerun as rr
 import rerun.blueprint as rrb
 
-from mapreplay.predictors import NoPredictor
+from mapreplay.recorders.palette import Curve
+from mapreplay.recorders.scene import curves, has_prediction
 from mapreplay.step import EpisodeHeader
 
 TIMELINE: Final = "step"
 FRAMES_PER_SECOND: Final = 20.0
 MARGIN: Final = 0.02
 """Around a map, as a share of its longer side."""
-
-Colour: TypeAlias = tuple[int, int, int]
-
-ORANGE: Final = (230, 159, 0)
-SKY_BLUE: Final = (86, 180, 233)
-GREEN: Final = (0, 158, 115)
-YELLOW: Final = (240, 228, 66)
-BLUE: Final = (0, 114, 178)
-VERMILION: Final = (213, 94, 0)
-PURPLE: Final = (204, 121, 167)
-
-
-class CellClass(IntEnum):
-    """What a cell of a map is shown as: the class ids of all segmentation images."""
-
-    UNKNOWN = 0
-    FREE = 1
-    OCCUPIED = 2
-    FALSE_WALL = 3
-    FALSE_FREE = 4
-    NOT_EXPLORABLE = 5
-
-
-CELL_COLOURS: Final[dict[CellClass, Colour]] = {
-    CellClass.UNKNOWN: (128, 128, 128),
-    CellClass.FREE: (240, 240, 240),
-    CellClass.OCCUPIED: (25, 25, 25),
-    CellClass.FALSE_WALL: VERMILION,
-    CellClass.FALSE_FREE: SKY_BLUE,
-    CellClass.NOT_EXPLORABLE: (66, 72, 92),
-}
-
-AGENT_COLOUR: Final = PURPLE
-RAYS_COLOUR: Final = BLUE
-FRONTIER_COLOUR: Final = ORANGE
-PLAN_COLOUR: Final = GREEN
 
 
 class Entity(StrEnum):
@@ -81,37 +42,9 @@ class Entity(StrEnum):
         return f"{root}/{self}"
 
 
-class Curve(StrEnum):
-    """A score that is drawn over the steps: a field of `mapreplay.step.StepMetrics`."""
-
-    F1 = "f1"
-    COVERAGE_OBSERVED = "coverage_observed"
-    COVERAGE_FUSED = "coverage_fused"
-    CORRECT_COVERAGE = "correct_coverage_fused"
-
-    def below(self, root: str) -> str:
-        """The absolute path under `root`."""
-        return f"{Entity.SCORES.below(root)}/{self}"
-
-    @property
-    def label(self) -> str:
-        """What the legend calls it."""
-        return "F1" if self is Curve.F1 else self.value.replace("_", " ")
-
-
-CURVE_COLOURS: Final[dict[Curve, Colour]] = {
-    Curve.F1: YELLOW,
-    Curve.COVERAGE_OBSERVED: SKY_BLUE,
-    Curve.COVERAGE_FUSED: ORANGE,
-    Curve.CORRECT_COVERAGE: GREEN,
-}
-
-
-def curves(header: EpisodeHeader) -> tuple[Curve, ...]:
-    """The curves that say something: without a prediction, fused is observed."""
-    if has_prediction(header):
-        return tuple(Curve)
-    return (Curve.F1, Curve.COVERAGE_OBSERVED)
+def curve_path(curve: Curve, root: str) -> str:
+    """The absolute path of a curve under `root`."""
+    return f"{Entity.SCORES.below(root)}/{curve}"
 
 
 def layout(
@@ -147,11 +80,6 @@ def application_id(header: EpisodeHeader) -> str:
     height, width = header.floor_plan.shape
     maps = "predicted" if has_prediction(header) else "observed"
     return f"mapreplay-{maps}-{height}x{width}"
-
-
-def has_prediction(header: EpisodeHeader) -> bool:
-    """Whether there is a prediction to show."""
-    return header.predictor != NoPredictor.identity
 
 
 def _map_views(header: EpisodeHeader, root: str) -> list[rrb.View | rrb.Container]:
@@ -190,7 +118,7 @@ def _text_and_curves(header: EpisodeHeader, root: str) -> list[rrb.View]:
         rrb.TimeSeriesView(
             origin=Entity.SCORES.below(root),
             name="F1 and coverage",
-            contents=[curve.below(root) for curve in curves(header)],
+            contents=[curve_path(curve, root) for curve in curves(header)],
             axis_y=rrb.ScalarAxis(range=(0.0, 1.02)),
             plot_legend=rrb.Corner2D.RightBottom,
         ),

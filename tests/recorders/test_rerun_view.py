@@ -20,22 +20,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rerun.chunk import RrdReader
 
-from drawing import draw, plan
+from drawing import plan
 from fakes import NoisyPredictor
 from mapreplay.config import EpisodeConfig
 from mapreplay.episode import Episode, prepare_episode, run_episode
 from mapreplay.errors import LogError, UsageError
-from mapreplay.floorplan import explorable
-from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid
+from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from mapreplay.recorders import rerun_columns, rerun_view
-from mapreplay.recorders.rerun_columns import error_classes, ray_strips
-from mapreplay.recorders.rerun_layout import (
+from mapreplay.recorders.palette import (
     AGENT_COLOUR,
     CELL_COLOURS,
     FRONTIER_COLOUR,
     CellClass,
 )
+from mapreplay.recorders.rerun_columns import ray_strips
 from mapreplay.recorders.rerun_view import LiveView, WebServer, save_rrd, send_episode, serve_web
+from mapreplay.recorders.scene import error_classes
 from mapreplay.step import Step
 
 HOUSE = """
@@ -134,33 +134,6 @@ def test_every_cell_of_every_step_is_sent_with_row_0_at_the_bottom(
                 assert truth[-1][at] == class_of(episode.header.floor_plan.cells[row, col])
 
 
-def test_errors_are_marked_where_the_agent_could_have_known_better() -> None:
-    truth = draw("""
-        ######
-        #..#.#
-        #..###
-        ######
-    """)
-    fused = draw("""
-        ####??
-        #.##??
-        #?..##
-        ######
-    """)
-    marks = {".": CellClass.FREE, "#": CellClass.OCCUPIED, "?": CellClass.UNKNOWN,
-             "W": CellClass.FALSE_WALL, "f": CellClass.FALSE_FREE,
-             "-": CellClass.NOT_EXPLORABLE}  # fmt: skip
-    drawn = """
-        ####--
-        #.W#--
-        #?.f--
-        ####--
-    """
-    expected = [[marks[mark] for mark in line.strip()] for line in drawn.strip().splitlines()][::-1]
-    region = explorable(truth, Cell(1, 1))
-    assert error_classes(fused, truth, region).tolist() == expected
-
-
 def test_errors_are_sent_of_the_fused_map(saved: Path, episode: Episode, steps: list[Step]) -> None:
     shape = episode.header.floor_plan.shape
     shown = pictures(read(saved), "error", "SegmentationImage", shape)
@@ -232,7 +205,14 @@ def test_agent_trail_frontier_path_and_target_are_those_of_the_step(
 
 def test_curves_events_and_header_are_sent(saved: Path, steps: list[Step]) -> None:
     recorded = read(saved)
-    names = ("f1", "coverage_observed", "coverage_fused", "correct_coverage_fused")
+    names = (
+        "f1",
+        "precision",
+        "recall",
+        "coverage_observed",
+        "coverage_fused",
+        "correct_coverage_fused",
+    )
     for name in names:
         curve = recorded[f"/scores/{name}:Scalars:scalars"]
         expected = {step.index: [getattr(step.metrics, name)] for step in steps}
@@ -241,20 +221,6 @@ def test_curves_events_and_header_are_sent(saved: Path, steps: list[Step]) -> No
     assert texts[steps[-1].index] == [f"step 30, outcome: {steps[-1].events[-1].text}"]
     (document,) = recorded["/header:TextDocument:text"][-1]
     assert "| predictor | noisy |" in document
-
-
-@pytest.mark.parametrize(
-    ("p_wall", "shown"),
-    [
-        (np.array([[0, 77, 255]], np.uint8), [0, 77, 255]),
-        (np.array([[0, 19789, 65535]], np.uint16), [0, 77, 255]),
-        (np.array([[0.0, 0.302, 1.0]], np.float32), [0, 77, 255]),
-    ],
-)
-def test_predictions_of_any_type_are_shown_in_256_levels(
-    p_wall: npt.NDArray[Any], shown: list[int]
-) -> None:
-    assert rerun_columns.display_probability(p_wall).tolist() == [shown]
 
 
 def test_blocks_join_without_a_seam(

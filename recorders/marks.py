@@ -1,0 +1,43 @@
+"""Marks: cells of the map that somebody points at, over some steps, and why.
+
+An analysis makes them (the wall that sealed the agent in, the doorway that it closed), and the
+viewer and the pictures draw them, whatever they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from mapreplay.recorders.palette import MARK_COLOURS, Colour
+from mapreplay.step import Cells
+
+
+@dataclass(frozen=True, eq=False)
+class Mark:
+    """Cells to be pointed at."""
+
+    name: str
+    """What they are, in a word: "culprit", "doorway"; marks of a name share a colour."""
+    first_step: int
+    last_step: int
+    """Shown from `first_step` to this one, both included."""
+    cells: Cells
+    """int32[n, 2]: (row, col)."""
+    text: str
+    """A sentence about them."""
+
+    def is_shown(self, step: int) -> bool:
+        """Whether the mark is there at `step`."""
+        return self.first_step <= step <= self.last_step
+
+
+def mark_colours(marks: Iterable[Mark]) -> dict[str, Colour]:
+    """The colour of each name, by the order in which the names come."""
+    names = dict.fromkeys(mark.name for mark in marks)
+    return {name: MARK_COLOURS[i % len(MARK_COLOURS)] for i, name in enumerate(names)}
+
+
+def shown_at(marks: Sequence[Mark], step: int) -> list[Mark]:
+    """The marks that are there at `step`, in order."""
+    return [mark for mark in marks if mark.is_shown(step)]

@@ -1,0 +1,200 @@
+"""What of a step is shown, in cells and in words; how it is drawn is the drawers' business."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from enum import StrEnum
+from itertools import zip_longest
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from mapreplay.grid import FREE, OCCUPIED, Grid, Mask, Quantized
+from mapreplay.mapping import dequantize
+from mapreplay.predictors import NoPredictor
+from mapreplay.recorders.palette import CellClass, Curve, State
+from mapreplay.step import (
+    Candidate,
+    Cells,
+    EpisodeHeader,
+    EventKind,
+    Mode,
+    Outcome,
+    Step,
+)
+
+
+class MapView(StrEnum):
+    """A map that is shown of each step."""
+
+    OBSERVED = "observed"
+    PREDICTED = "predicted"
+    FUSED = "fused"
+    ERROR = "error"
+    TRUTH = "truth"
+
+    @property
+    def heading(self) -> str:
+        """What stands over it."""
+        return _TITLES[self]
+
+
+_TITLES: Final[dict[MapView, str]] = {
+    MapView.OBSERVED: "Observed",
+    MapView.PREDICTED: "Predicted P(wall)",
+    MapView.FUSED: "Fused",
+    MapView.ERROR: "Error of fused",
+    MapView.TRUTH: "Truth",
+}
+
+
+def has_prediction(header: EpisodeHeader) -> bool:
+    """Whether there is a prediction to show."""
+    return header.predictor != NoPredictor.identity
+
+
+def has_truth(header: EpisodeHeader) -> bool:
+    """Whether the true map is known, so that there is right and wrong."""
+    return header.floor_plan.has_truth
+
+
+def map_views(header: EpisodeHeader) -> tuple[MapView, ...]:
+    """The maps that say something, in the order in which they stand side by side."""
+    views = [MapView.OBSERVED]
+    if has_prediction(header):
+        views.append(MapView.PREDICTED)
+    views.append(MapView.FUSED)
+    if has_truth(header):
+        views.append(MapView.ERROR)
+    return tuple(views)
+
+
+def curves(header: EpisodeHeader) -> tuple[Curve, ...]:
+    """The curves that say something: without a prediction, fused is observed."""
+    if not has_truth(header):
+        return ()
+    if has_prediction(header):
+        return tuple(Curve)
+    return (Curve.F1, Curve.PRECISION, Curve.RECALL, Curve.COVERAGE_OBSERVED)
+
+
+def cell_classes(cells: Grid) -> npt.NDArray[np.uint8]:
+    """uint8[H, W] of `CellClass`: unknown, free or occupied."""
+    classes = np.full(cells.shape, CellClass.UNKNOWN, np.uint8)
+    classes[cells == FREE] = CellClass.FREE
+    classes[cells == OCCUPIED] = CellClass.OCCUPIED
+    return classes
+
+
+def error_classes(cells: Grid, truth: Grid, region: Mask) -> npt.NDArray[np.uint8]:
+    """uint8[H, W] of `CellClass`: `cells` with its mistakes marked.
+
+    What is right keeps its class, and what is still unknown, too. Cells outside of `region`
+    (bool[H, W], the explorable ones) are a class of their own: there is no right or wrong.
+    """
+    classes = cell_classes(cells)
+    classes[(cells == OCCUPIED) & (truth == FREE)] = CellClass.FALSE_WALL
+    classes[(cells == FREE) & (truth == OCCUPIED)] = CellClass.FALSE_FREE
+    classes[~region] = CellClass.NOT_EXPLORABLE
+    return classes
+
+
+def display_probability(p_wall: Quantized) -> npt.NDArray[np.uint8]:
+    """uint8[H, W]: P(occupied) of 0..1 as 0..255, rounded, for display only."""
+    if p_wall.dtype == np.uint8:
+        return p_wall.astype(np.uint8, copy=False)
+    return np.rint(dequantize(p_wall) * 255).astype(np.uint8)
+
+
+class Rays(NamedTuple):
+    """The rays of a step, from the agent."""
+
+    ends: Cells
+    """int32[rays, 2]: the last cell that each ray marked; the agent's where it marked none."""
+    hit: npt.NDArray[np.bool_]
+    """bool[rays]: whether a wall stopped it there."""
+
+
+def rays_of(step: Step, header: EpisodeHeader) -> Rays:
+    """The rays of a step: each ends where it hit, or at the end of its range or of the grid.
+
+    Of a step without a scan there are none.
+    """
+    if not len(step.hits):
+        return Rays(np.empty((0, 2), np.int32), np.empty(0, np.bool_))
+    height, width = header.floor_plan.shape
+    sensor = header.sensor
+    cells = np.asarray(step.agent) + sensor.offsets
+    inside = ((cells >= 0) & (cells < (height, width))).all(axis=2)
+    reached = np.where(step.hits > 0, step.hits, inside.sum(axis=1))
+    ends = cells[np.arange(sensor.rays), reached - 1]
+    ends[reached == 0] = step.agent
+    return Rays(ends.astype(np.int32), step.hits > 0)
+
+
+def state_of(step: Step) -> State:
+    """What the agent is at: the outcome at the last step, before that its mode."""
+    if step.outcome is not None:
+        return _ENDINGS[step.outcome]
+    return State.FAIL_SAFE if step.mode is Mode.FAIL_SAFE else State.EXPLORING
+
+
+_ENDINGS: Final = {
+    Outcome.MAPPED: State.DONE,
+    Outcome.SEALED_IN: State.SEALED_IN,
+    Outcome.OUT_OF_STEPS: State.OUT_OF_STEPS,
+}
+
+
+def decision_words(step: Step) -> str:
+    """Why the agent goes where it goes, in a sentence; how the episode ended at its last step."""
+    decision = step.decision
+    if decision is None:
+        ended = [event.text for event in step.events if event.kind is EventKind.OUTCOME]
+        return ended[-1] if ended else "no target is logged"
+    words = f"went to {_cell(decision.chosen)}"
+    if decision.mode is Mode.FAIL_SAFE:
+        words += " by the fail-safe"
+    if decision.random_draw is not None:
+        return f"{words}: drawn at random, {decision.chosen.cost:.1f} cells away"
+    if decision.chosen.utility == decision.chosen.reward == 1:  # nothing was weighed
+        return f"{words}: its target as before, {decision.chosen.cost:.1f} cells away"
+    words += f": {_rating(decision.chosen)}"
+    if decision.rivals:
+        words += f"; runner-up {_cell(decision.rivals[0])} {_utility(decision.rivals[0])}"
+    return words
+
+
+def _rating(candidate: Candidate) -> str:
+    utility, reward, cost = candidate.utility, candidate.reward, candidate.cost
+    if math.isnan(utility):
+        return f"{cost:.1f} cells away"
+    rated = f"utility {_utility(candidate)}"
+    # A planner of somebody else may weigh in another way.
+    if math.isclose(utility, reward / (1 + cost), rel_tol=1e-6):
+        return f"{rated} = gain {reward:.1f} / (1 + {cost:.1f})"
+    return f"{rated}, gain {reward:.1f}, {cost:.1f} cells away"
+
+
+def _utility(candidate: Candidate) -> str:
+    return f"{candidate.utility:.3g}"
+
+
+def _cell(candidate: Candidate) -> str:
+    return f"({candidate.cell.row}, {candidate.cell.col})"
+
+
+def first_parting(a: Iterable[Step], b: Iterable[Step]) -> int | None:
+    """The first step at which two episodes are not the same to the agent, or None.
+
+    They are the same while the agents stand on the same cell and have observed the same map,
+    on floor plans of the same size; where one ends before the other, they part there.
+    """
+    for index, (one, other) in enumerate(zip_longest(a, b)):
+        if one is None or other is None:
+            return index
+        if one.agent != other.agent or not np.array_equal(one.observed, other.observed):
+            return index
+    return None
