@@ -19,6 +19,7 @@ from mapreplay.grid import Mask
 from mapreplay.recorders.marks import Mark, mark_colours, shown_at
 from mapreplay.recorders.palette import (
     AGENT_COLOUR,
+    CELL_COLOURS,
     FRONTIER_COLOUR,
     HITS_COLOUR,
     PLAN_COLOUR,
@@ -69,7 +70,7 @@ class MapPainter:
         plan = self.header.floor_plan
         if view is MapView.PREDICTED:
             if step.p_wall is None:
-                return class_colours()[np.full(plan.shape, CellClass.UNKNOWN)]
+                return np.full((*plan.shape, 3), CELL_COLOURS[CellClass.UNKNOWN], np.uint8)
             levels = display_probability(step.p_wall)
             return np.asarray(viridis()[levels[::-1]], np.uint8)
         if view is MapView.ERROR:
@@ -81,7 +82,7 @@ class MapPainter:
                 MapView.TRUTH: plan.cells,
             }
             classes = cell_classes(maps[view])
-        return class_colours()[classes[::-1]]
+        return np.asarray(class_colours()[classes[::-1]], np.uint8)
 
     def draw(
         self,
