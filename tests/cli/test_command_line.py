@@ -62,6 +62,9 @@ def test_the_version_is_printed(cli: Run) -> None:
     assert result.out.startswith("mapreplay 0.")
 
 
+TRAIN = "train --floorplans procedural:0 --validate procedural:1 --out x.safetensors"
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "line"),
     [
@@ -81,6 +84,8 @@ def test_the_version_is_printed(cli: Run) -> None:
         ("view nowhere.mcap", 1, "nowhere.mcap"),
         ("export nowhere.mcap", 2, "say what to write"),
         ("train --floorplans procedural:0-1 --out x.pt", 2, "should end in .safetensors"),
+        (f"{TRAIN} --loss-region some", 2, "--loss-region some: choose all or explorable"),
+        (f"{TRAIN} --init no.safetensors", 1, "no.safetensors: cannot be read"),
         ("metrics nowhere.mcap --region some", 2, "should be explorable or all"),
     ],
 )
@@ -295,6 +300,12 @@ def test_train_makes_weights_that_run_can_use(cli: Run, tmp_path: Path) -> None:
     assert card["samples"] == 40
     assert card["trained_on"] == "procedural:0-7"
     assert cli(*arguments).code == 2  # it is there
+    again = cli(*arguments[:-1], tmp_path / "more.safetensors", "--init", out,
+                "--loss-region", "explorable")  # fmt: skip
+    assert again.code == 0, again.err
+    more = json.loads((tmp_path / "more.json").read_text())
+    assert more["init_sha256"] == card["sha256"]
+    assert more["loss_region"] == "explorable"
     ran = cli("run", "--predictor", out, "--max-steps", 2, "--out", tmp_path / "o")
     assert ran.code == 0, ran.err
 

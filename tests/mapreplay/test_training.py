@@ -19,7 +19,7 @@ from mapreplay.training.dataset import (
     padded_shape,
     prepare_plan,
 )
-from mapreplay.training.loop import Trainer, TrainingConfig
+from mapreplay.training.loop import LossRegion, Trainer, TrainingConfig, finish
 from mapreplay.training.observations import (
     RUNS_PER_PLAN,
     observation_draws,
@@ -163,3 +163,39 @@ def test_batches_are_what_make_batch_says(plans: list[TrainingPlan]) -> None:
     assert batch.observed.shape == (3, 24, 24)
     known = batch.observed != UNKNOWN
     assert (batch.observed[known] == batch.truth[known]).all()
+
+
+def test_only_explorable_cells_count_where_that_is_asked_for(
+    plans: list[TrainingPlan], tmp_path: Path
+) -> None:
+    def losses(region: LossRegion, held: list[TrainingPlan]) -> float:
+        config = TrainingConfig(samples=8, batch=8, loss_region=region)
+        trainer = Trainer(plans[:8], held, config, "cpu", tmp_path / "a.checkpoint")
+        return [p for p in trainer.run() if not isinstance(p, int)][-1].validation_loss
+
+    with_closed_room = """
+        ########
+        #....#{}#
+        #....#{}#
+        #....###
+        #......#
+        #......#
+        #......#
+        ########
+    """
+    held, turned = (
+        [prepare_plan(0, plan(with_closed_room.format(closed, closed)))] for closed in ".#"
+    )
+    assert losses(LossRegion.EXPLORABLE, held) == losses(LossRegion.EXPLORABLE, turned)
+    assert losses(LossRegion.ALL, held) != losses(LossRegion.ALL, turned)
+
+
+def test_training_starts_from_given_weights(plans: list[TrainingPlan], tmp_path: Path) -> None:
+    first = train(plans, tmp_path / "first.checkpoint")
+    weights = tmp_path / "first.safetensors"
+    card = finish(first, weights, trained_on="a", validated_on="b", command="c")
+    config = TrainingConfig(samples=8, batch=8, init_sha256=card.sha256)
+    second = Trainer(plans[:10], plans[10:], config, "cpu", tmp_path / "second.checkpoint")
+    second.start_from(weights)
+    for name, value in first.model.state_dict().items():
+        assert (second.model.state_dict()[name] == value).all(), name
