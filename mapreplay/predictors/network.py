@@ -64,6 +64,23 @@ class MapPredictor(nn.Module):
         return logits
 
 
+class EagerNetwork:
+    """A `MapPredictor` as PyTorch runs it, one map at a time, on any device."""
+
+    def __init__(self, model: MapPredictor, device: str) -> None:
+        """Moves `model` to `device`; RuntimeError or AssertionError if there is none such."""
+        torch.set_num_threads(1)  # episodes run in parallel, and a map is too small to share
+        self._device = device
+        # torch's own annotations do not know memory_format
+        self._model = model.eval().to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+    @torch.inference_mode()
+    def p_wall(self, cells: Grid) -> npt.NDArray[np.float32]:
+        """P(occupied) of every cell of int8[H, W] `cells`, H and W multiples of 8."""
+        logits = self._model(one_hot(cells[None]).to(self._device))
+        return torch.sigmoid(logits[0, 0]).cpu().numpy().astype(np.float32, copy=False)
+
+
 def pad_to_multiple(cells: Grid) -> Grid:
     """`cells` with unknown rows and columns added at the high ends, to a multiple of 8."""
     height, width = cells.shape

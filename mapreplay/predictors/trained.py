@@ -11,7 +11,8 @@ import torch
 
 from mapreplay.errors import UsageError
 from mapreplay.grid import Grid
-from mapreplay.predictors.network import MapPredictor, one_hot, pad_to_multiple
+from mapreplay.predictors.inference import CompiledNetwork
+from mapreplay.predictors.network import EagerNetwork, MapPredictor, pad_to_multiple
 from mapreplay.predictors.weights import file_sha256, load_state, load_tensors
 from mapreplay.step import PredictorIdentity
 
@@ -19,20 +20,23 @@ WEIGHTS: Final = Path(__file__).parent / "weights_v1"
 
 
 class TrainedPredictor:
-    """Runs a `MapPredictor` on one map at a time."""
+    """Runs a `MapPredictor` on one map at a time: compiled on the CPU, else by PyTorch."""
 
     def __init__(self, model: MapPredictor, identity: PredictorIdentity, device: str) -> None:
-        self._model = model
-        self._device = device
         self.identity = identity
+        self._network: CompiledNetwork | EagerNetwork
+        if torch.device(device).type == "cpu":
+            self._network = CompiledNetwork(
+                {name: tensor.cpu().numpy() for name, tensor in model.state_dict().items()}
+            )
+        else:
+            self._network = EagerNetwork(model, device)
 
-    @torch.inference_mode()
     def predict(self, observed: Grid) -> npt.NDArray[np.float32]:
         """See `mapreplay.predictors.Predictor`."""
         height, width = observed.shape
-        logits = self._model(one_hot(pad_to_multiple(observed)[None]).to(self._device))
-        p_wall = torch.sigmoid(logits[0, 0, :height, :width])
-        return np.ascontiguousarray(p_wall.cpu().numpy(), np.float32)
+        p_wall = self._network.p_wall(pad_to_multiple(observed))
+        return np.ascontiguousarray(p_wall[:height, :width])
 
 
 def load_network(path: Path, device: str, name: str | None = None) -> TrainedPredictor:
@@ -42,19 +46,16 @@ def load_network(path: Path, device: str, name: str | None = None) -> TrainedPre
         WeightsError: it cannot be read, or holds the weights of another network.
         UsageError: there is no such device.
     """
-    torch.set_num_threads(1)  # episodes run in parallel, and a map is too small to share
     tensors, _ = load_tensors(path)
     model = MapPredictor()
     load_state(model, tensors, path)
+    identity = PredictorIdentity(name or path.name, file_sha256(path))
     try:
-        # torch's own annotations do not know memory_format
-        model = model.eval().to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        return TrainedPredictor(model, identity, device)
     except (RuntimeError, AssertionError) as error:
         raise UsageError(
             f"device {device!r} cannot be used ({str(error).splitlines()[0]})"
         ) from None
-    identity = PredictorIdentity(name or path.name, file_sha256(path))
-    return TrainedPredictor(model, identity, device)
 
 
 def d1(device: str) -> TrainedPredictor:

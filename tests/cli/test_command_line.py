@@ -132,10 +132,12 @@ def test_run_never_overwrites_without_force(cli: Run, tmp_path: Path) -> None:
     assert log.read_bytes() == before  # and the same run writes the same bytes
 
 
-def test_the_number_of_jobs_changes_nothing(cli: Run, tmp_path: Path) -> None:
+@pytest.mark.parametrize("predictor", ["none", "d1"])
+def test_the_number_of_jobs_changes_nothing(cli: Run, tmp_path: Path, predictor: str) -> None:
     for jobs in (1, 2):
         result = cli(
-            "run", "--planner", "random", "--predictor", "none", "--floorplans", "procedural:7-9",
+            "run", "--planner", "random", "--predictor", predictor,
+            "--floorplans", "procedural:7-9",
             "--max-steps", 12, "--jobs", jobs, "--out", tmp_path / str(jobs),
         )  # fmt: skip
         assert result.code == 0, result.err
