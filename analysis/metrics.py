@@ -98,10 +98,10 @@ def recompute(
         LogError: the log cannot be read.
         MapreplayError: a further metric failed.
     """
-    header = log.header
     cells = log.explorable if region is None else region
-    travelled, agent = Travelled(), header.start
+    travelled, agent = Travelled(), log.header.start
     for step in log.steps():
+        header = log.header.at(step.index)
         travelled = travelled.to(agent, step.agent)
         agent = step.agent
         path_length = travelled.metres(header.floor_plan.resolution)

@@ -18,6 +18,7 @@ from typing import Final
 import numpy as np
 
 from mapreplay import mapping, plugins
+from mapreplay.analysis.branch import lineage, predictor_of, run_again
 from mapreplay.analysis.difference import Difference, compare
 from mapreplay.episode import (
     Past,
@@ -29,14 +30,11 @@ from mapreplay.episode import (
     measure,
     outcome_of,
     predict,
-    prepare_episode,
-    run_episode,
     versions,
 )
 from mapreplay.errors import LogError, PluginError, UsageError
 from mapreplay.grid import FREE, Cell, Grid, Mask, Quantized, check_grid
 from mapreplay.planners import Planner, load_planner
-from mapreplay.predictors import Predictor, load_predictor
 from mapreplay.recorders import table
 from mapreplay.recorders.log import EpisodeLog
 from mapreplay.recorders.messages import Messages, Topic, stamp_ns_of
@@ -84,12 +82,13 @@ def verify(log: EpisodeLog, shown: int = SHOWN) -> Verification:
     truth = header.floor_plan.cells
     findings = _Findings(header, shown)
     findings.add(_check_header(header, log.explorable))
-    planner = _planner(header.config.planner, findings)
+    planners = _Planners(findings)
     ending = _Ending(log)
     past = Past.at_start(header)
     expected: Step | None = None
     move: Cell | None = None
     for logged, messages in log.steps_with_messages():
+        header = log.header.at(logged.index)
         if expected is not None:
             agent = move or logged.agent
             if not _is_free(truth, agent):
@@ -97,13 +96,14 @@ def verify(log: EpisodeLog, shown: int = SHOWN) -> Verification:
                 findings.add([Difference(logged.index, Topic.POSE, "agent", None, agent, wanted)])
                 findings.notes.append(f"step {logged.index} and later: not checked")
                 return findings.result()
-            past = past.after(expected, agent, header)
+            past = past.after(expected, agent, log.header.at(expected.index))
         hits = sense(truth, past.agent, header.sensor)
         observed = accumulate(past.observed, past.agent, hits, header.sensor)
         findings.steps += 1
         findings.add(_check_stamps(logged, messages))
         # No planner has to cope with what is no probability.
-        asked = None if findings.add(_check_prediction(header, logged)) else planner
+        wrong = findings.add(_check_prediction(header, logged))
+        asked = None if wrong else planners.get(header.config.planner)
         expected = _conclude(header, log.explorable, asked, past, hits, observed, logged)
         findings.add(compare(logged, expected))
         findings.add(ending.compare(logged))
@@ -162,12 +162,13 @@ def verify_rerun(log: EpisodeLog, device: str = "cpu", shown: int = SHOWN) -> Ve
     header = log.header
     _refuse_foreign(log)
     findings = _Findings(header, shown)
-    predictor = load_predictor(header.config.predictor, device)
-    if findings.add(_check_predictor(header.predictor, predictor.identity)):
-        return findings.result()
+    predictors = []
+    for part in lineage(header):
+        predictors.append(predictor_of(part, device))
+        if findings.add(_check_predictor(part.predictor, predictors[-1].identity)):
+            return findings.result()
     findings.add(_check_header(header, log.explorable))
-    episode = prepare_episode(header.config, header.floor_plan, predictor=predictor)
-    again, ending = run_episode(episode), _Ending(log)
+    again, ending = run_again(header, log.explorable, predictors), _Ending(log)
     for logged, messages in log.steps_with_messages():
         expected = next(again, None)
         if expected is None:
@@ -194,11 +195,12 @@ def verify_step(
         MapreplayError: one of them returned something impossible.
     """
     _refuse_foreign(log)
-    header, logged = log.header, log[index]
+    logged = log[index]
+    header = log.header.at(logged.index)
     truth = header.floor_plan.cells
     before = log[logged.index - 1].decision if logged.index > 0 else None
     findings = _Findings(header, shown)
-    predictor, planner = _load(header, device)
+    predictor, planner = predictor_of(header, device), load_planner(header.config.planner)
     if findings.add(_check_predictor(header.predictor, predictor.identity)):
         return findings.result()
     problem = check_grid(logged.observed)
@@ -302,19 +304,26 @@ class _Ending:
             yield Difference(None, table.ATTACHMENT, "further rows", None, further, 0)
 
 
-def _load(header: EpisodeHeader, device: str) -> tuple[Predictor, Planner]:
-    return load_predictor(header.config.predictor, device), load_planner(header.config.planner)
+class _Planners:
+    """The planners of a log by name; of each that cannot be had there is one note."""
 
+    def __init__(self, findings: _Findings) -> None:
+        self._findings = findings
+        self._loaded: dict[str, Planner | None] = {}
 
-def _planner(name: str, findings: _Findings) -> Planner | None:
-    """The planner, or None and a note if it cannot be had."""
-    try:
-        return load_planner(name)
-    except PluginError as error:
-        known = name in plugins.available(plugins.Group.PLANNERS)
-        reason = str(error) if known else f"planner {name!r} is not installed"
-        findings.notes.append(f"{reason}: decisions not checked")
-        return None
+    def get(self, name: str) -> Planner | None:
+        if name not in self._loaded:
+            self._loaded[name] = self._load(name)
+        return self._loaded[name]
+
+    def _load(self, name: str) -> Planner | None:
+        try:
+            return load_planner(name)
+        except PluginError as error:
+            known = name in plugins.available(plugins.Group.PLANNERS)
+            reason = str(error) if known else f"planner {name!r} is not installed"
+            self._findings.notes.append(f"{reason}: decisions not checked")
+            return None
 
 
 def _conclude(
@@ -359,6 +368,11 @@ def _conclude(
 
 def _check_header(header: EpisodeHeader, region: Mask) -> Iterator[Difference]:
     """The start and the budget follow from the configuration and the floor plan."""
+    for part in lineage(header):
+        yield from _check_start(part, region)
+
+
+def _check_start(header: EpisodeHeader, region: Mask) -> Iterator[Difference]:
     config, plan = header.config, header.floor_plan
     start, steps = plan.check_start(config.start_cell), budget(config, plan, region)
     if header.start != start:

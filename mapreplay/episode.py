@@ -152,17 +152,17 @@ class Past:
         )
 
 
-def run_episode(episode: Episode) -> Iterator[Step]:
+def run_episode(episode: Episode, past: Past | None = None) -> Iterator[Step]:
     """Explore `episode`'s floor plan; yields a step for every pose, the first at the start.
 
-    The last step has an outcome and no decision.
+    The last step has an outcome and no decision. With a `past` the first is the step after it.
 
     Raises:
         MapreplayError: the predictor or planner returned something impossible.
     """
     header, sensor = episode.header, episode.header.sensor
     plan = header.floor_plan
-    past = Past.at_start(header)
+    past = past or Past.at_start(header)
     while True:
         clock = [perf_counter_ns()]
         hits = sense(plan.cells, past.agent, sensor)

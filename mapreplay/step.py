@@ -226,6 +226,8 @@ class EpisodeHeader:
     """(library, version) of what the result depends on, sorted."""
     simulator: str = OURS
     """Who made the steps: ours, or the name of another, whose steps cannot be made again."""
+    branch: Branch | None = None
+    """Of an episode that was run on from a step of another log."""
 
     @property
     def sensor(self) -> Sensor:
@@ -237,10 +239,33 @@ class EpisodeHeader:
         """The thresholds that the configuration describes."""
         return Thresholds(self.config.delta_free, self.config.delta_occupied)
 
+    def at(self, index: int) -> EpisodeHeader:
+        """What held at step `index`: before the step of a branch, what its parent says."""
+        if self.branch is not None and index < self.branch.step:
+            return self.branch.before.at(index)
+        return self
+
     @property
     def file_name(self) -> str:
         """``<floor-plan>__<planner>__<plan-on>-<build>__s<seed>.mcap``."""
         return log_name(self.floor_plan.id, self.config)
+
+
+@dataclass(frozen=True, eq=False)
+class Branch:
+    """From which log and step an episode was run on, and what was changed there.
+
+    The steps before are those of the parent, and under its header.
+    """
+
+    parent_sha256: str
+    """Of the parent's file."""
+    step: int
+    """The first step that is not the parent's; the agent and what it had observed are."""
+    changes: tuple[str, ...]
+    """As they were asked for, such as ``delta-occupied=0.97``."""
+    before: EpisodeHeader
+    """The parent's."""
 
 
 def log_name(floor_plan_id: str, config: EpisodeConfig) -> str:

@@ -21,7 +21,7 @@ from mapreplay.errors import LogError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.grid import Cell
 from mapreplay.recorders.limits import MAX_STEPS
-from mapreplay.step import OURS, EpisodeHeader, Outcome, PredictorIdentity, Step
+from mapreplay.step import OURS, Branch, EpisodeHeader, Outcome, PredictorIdentity, Step
 
 FORMAT_VERSION: Final = 1
 EPISODE_RECORD: Final = "mapreplay.episode"
@@ -79,7 +79,26 @@ def episode_pairs(header: EpisodeHeader) -> dict[str, str]:
         "versions": json.dumps(dict(header.versions)),
         "simulator": header.simulator,
     }
+    if header.branch is not None:
+        pairs["branch"] = json.dumps(_branch_values(header.branch))
     return pairs | {"crc32": _crc(pairs)}
+
+
+_OWN_KEYS: Final = ("config", "max_steps", "predictor", "predictor_sha256", "versions")
+"""What a branch may say otherwise than its parent; all else holds for both."""
+
+
+def _branch_values(branch: Branch) -> dict[str, object]:
+    pairs = episode_pairs(branch.before)
+    before: dict[str, object] = {key: pairs[key] for key in _OWN_KEYS}
+    if branch.before.branch is not None:
+        before["branch"] = _branch_values(branch.before.branch)
+    return {
+        "parent_sha256": branch.parent_sha256,
+        "step": branch.step,
+        "changes": branch.changes,
+        "before": before,
+    }
 
 
 def check_episode_pairs(pairs: Pairs) -> None:
@@ -122,6 +141,23 @@ def header_of(pairs: Pairs, floor_plan: FloorPlan) -> EpisodeHeader:
         predictor=PredictorIdentity(pairs["predictor"], pairs["predictor_sha256"]),
         versions=tuple(json.loads(pairs["versions"]).items()),
         simulator=pairs.get("simulator", OURS),
+        branch=_branch_of(pairs, floor_plan) if "branch" in pairs else None,
+    )
+
+
+def _branch_of(pairs: Pairs, floor_plan: FloorPlan) -> Branch:
+    values = json.loads(pairs["branch"])
+    before = {key: value for key, value in pairs.items() if key != "branch"}
+    for key, value in values["before"].items():
+        before[key] = value if isinstance(value, str) else json.dumps(value)
+    step = int(values["step"])
+    if not 0 <= step < MAX_STEPS:
+        raise ValueError(f"a branch at step {step}; at most {MAX_STEPS} are allowed")
+    return Branch(
+        parent_sha256=str(values["parent_sha256"]),
+        step=step,
+        changes=tuple(map(str, values["changes"])),
+        before=header_of(before, floor_plan),
     )
 
 

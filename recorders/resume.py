@@ -52,7 +52,11 @@ def _is_finished(path: Path, header: EpisodeHeader, *, force: bool) -> bool:
         if not log.finished:
             raise LogError(f"{path}: unfinished")
         wanted, found = episode_pairs(header), episode_pairs(log.header)
-        others = [key for key in wanted if wanted[key] != found[key] and key not in _MAY_DIFFER]
+        others = [
+            key
+            for key in (wanted | found)
+            if wanted.get(key) != found.get(key) and key not in _MAY_DIFFER
+        ]
         if others:
             raise LogError(f"{path}: a log of another episode ({', '.join(others)} differ)")
     except LogError as error:

@@ -14,6 +14,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from mapreplay.cli.bench import bench_app
+from mapreplay.cli.branch import branch
 from mapreplay.cli.export import export
 from mapreplay.cli.floorplans import floorplans
 from mapreplay.cli.info import info
@@ -58,7 +59,9 @@ def _mapreplay(
         typer.echo(context.get_help())
 
 
-for _verb in (run, view, ls, info, metrics, recover, export, floorplans, train, verify):
+for _verb in (
+    run, view, ls, info, metrics, branch, recover, export, floorplans, train, verify,
+):  # fmt: skip
     app.command()(_verb)
 app.add_typer(bench_app, name="bench")
 

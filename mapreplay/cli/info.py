@@ -41,6 +41,12 @@ def info(
     ]
     facts += [("config", key, value) for key, value in header.config.model_dump(mode="json").items()
               if key not in {"predictor", "start", "max_steps"}]  # fmt: skip
+    if header.branch is not None:
+        facts += [
+            ("branch", "parent's sha256", header.branch.parent_sha256),
+            ("branch", "step", header.branch.step),
+            ("branch", "changes", ", ".join(header.branch.changes)),
+        ]
     facts += [("version", name, version) for name, version in header.versions]
     row = summarize(opened, str(opened.path))
     facts += [

@@ -19,6 +19,7 @@ VERBS = [
     "ls",
     "info",
     "metrics",
+    "branch",
     "verify",
     "recover",
     "export",
