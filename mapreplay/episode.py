@@ -382,9 +382,8 @@ def measure(
         thresholded_score = scores.score(scores.tally(sure, truth, region), unknown_as)
         raw = mapping.raw_classes(p_wall)
         raw_score = scores.score(scores.tally(raw, truth, region), unknown_as)
-        p, step = mapping.dequantize(p_wall), mapping.quantum(p_wall)
-        everywhere = scores.calibration(p, truth, region, step)
-        unobserved = scores.calibration(p, truth, region & (observed == UNKNOWN), step)
+        everywhere = scores.calibration(p_wall, truth, region)
+        unobserved = scores.calibration(p_wall, truth, region & (observed == UNKNOWN))
     seen, known = scores.coverage(observed_counts), scores.coverage(fused_counts)
 
     def four(score: scores.MapScore) -> tuple[float, float, float, float]:

@@ -242,6 +242,22 @@ def tally(grid: Any, truth: Any, region: Any, counts: Any) -> None:
 
 
 @njit(cache=True)
+def gather_levels(level: Any, truth: Any, region: Any, codes: Any) -> int:
+    """codes[i] = 2 * level, plus 1 where the truth is occupied, of the i-th cell of `region`.
+
+    level: unsigned integers, truth: int8, region: bool, all [H, W]; codes: int32[H * W], written
+    in row-major order. Returns how many.
+    """
+    n = 0
+    for r in range(level.shape[0]):
+        for c in range(level.shape[1]):
+            if region[r, c]:
+                codes[n] = 2 * np.int32(level[r, c]) + (truth[r, c] > 0)
+                n += 1
+    return n
+
+
+@njit(cache=True)
 def flood(grid: Any, row: int, col: int, reached: Any, stack: Any, moves: Any) -> int:
     """Mark in `reached` (bool[H, W], False before) the 0 cells connected to (row, col).
 

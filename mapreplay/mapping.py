@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 from fractions import Fraction
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -26,7 +27,7 @@ class PredictionDtype(StrEnum):
     FLOAT32 = "float32"
 
 
-_TOP: Final[dict[str, int]] = {"uint8": 2**8 - 1, "uint16": 2**16 - 1}
+_TOP: Final = {np.dtype(np.uint8): 2**8 - 1, np.dtype(np.uint16): 2**16 - 1}
 """What stands for certainty, of the integer types."""
 
 
@@ -40,7 +41,7 @@ def quantize(p_wall: npt.NDArray[np.floating], dtype: PredictionDtype) -> Quanti
         raise ValueError("P(occupied) must be in [0, 1] everywhere")
     if dtype is PredictionDtype.FLOAT32:
         return p_wall.astype(np.float32)
-    scaled = np.rint(p_wall.astype(np.float64) * _TOP[dtype])
+    scaled = np.rint(p_wall.astype(np.float64) * _TOP[np.dtype(dtype.value)])
     if dtype is PredictionDtype.UINT16:
         return scaled.astype(np.uint16)
     return scaled.astype(np.uint8)
@@ -48,13 +49,18 @@ def quantize(p_wall: npt.NDArray[np.floating], dtype: PredictionDtype) -> Quanti
 
 def dequantize(quantized: Quantized) -> npt.NDArray[np.float64]:
     """P(occupied) as float64[H, W] in [0, 1]."""
-    return quantized.astype(np.float64) / _TOP.get(quantized.dtype.name, 1)
+    return quantized.astype(np.float64) / certainty(quantized)
 
 
 def quantum(quantized: Quantized) -> float:
     """The step between two probabilities: 1/255, 1/65535, or the spacing of float32 at 1."""
-    top = _TOP.get(quantized.dtype.name)
+    top = _TOP.get(quantized.dtype)
     return 1 / top if top else float(np.finfo(np.float32).eps)
+
+
+def certainty(quantized: Quantized) -> int:
+    """What stands for P(occupied) = 1: 255, 65535, or 1 of float32."""
+    return _TOP.get(quantized.dtype, 1)
 
 
 @dataclass(frozen=True)
@@ -81,22 +87,28 @@ def threshold(quantized: Quantized, thresholds: Thresholds) -> Grid:
     Integer predictions are compared exactly, float32 ones with the threshold rounded to
     float32. A value that satisfies both is free.
     """
-    low, high = thresholds.free_at_most, thresholds.occupied_at_least
-    top = _TOP.get(quantized.dtype.name)
-    if top is None:
-        free = quantized <= np.float32(float(low))
-        occupied = quantized >= np.float32(float(high))
-    else:
-        free = quantized <= math.floor(low * top)
-        occupied = quantized >= math.ceil(high * top)
+    top = _TOP.get(quantized.dtype)
+    if top is not None:
+        return _classes_of_levels(top, thresholds).take(quantized)
+    free = quantized <= np.float32(float(thresholds.free_at_most))
+    occupied = quantized >= np.float32(float(thresholds.occupied_at_least))
     cells = np.where(occupied, np.int8(OCCUPIED), np.int8(UNKNOWN))
     cells[free] = FREE
     return cells
 
 
+@lru_cache(maxsize=8)
+def _classes_of_levels(top: int, thresholds: Thresholds) -> Grid:
+    """int8[top + 1]: what each level of an integer prediction is taken for."""
+    classes = np.full(top + 1, UNKNOWN, np.int8)
+    classes[math.ceil(thresholds.occupied_at_least * top) :] = OCCUPIED
+    classes[: math.floor(thresholds.free_at_most * top) + 1] = FREE
+    return classes
+
+
 def raw_classes(quantized: Quantized) -> Grid:
     """int8[H, W]: occupied where p >= .5, else free; nothing is unknown."""
-    top = _TOP.get(quantized.dtype.name)
+    top = _TOP.get(quantized.dtype)
     half = top // 2 + 1 if top else 0.5
     return np.where(quantized >= half, np.int8(OCCUPIED), np.int8(FREE))
 

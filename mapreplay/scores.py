@@ -8,16 +8,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from mapreplay import kernels
-from mapreplay.grid import Grid, Mask
+from mapreplay import kernels, mapping
+from mapreplay.grid import Grid, Mask, Quantized
 
 Counts: TypeAlias = npt.NDArray[np.int64]
 """int64[3, 3]: cells where the map says [unknown, free, occupied] and the truth [the same]."""
+
+
+Reals: TypeAlias = npt.NDArray[np.float64]
 
 
 class UnknownAs(StrEnum):
@@ -96,20 +100,37 @@ def coverage(counts: Counts) -> Coverage:
     return Coverage(_ratio(known, total), _ratio(right, total))
 
 
-def calibration(
-    p_wall: npt.NDArray[np.floating], truth: Grid, region: Mask, quantum: float
-) -> Calibration:
-    """Brier score and log loss of `p_wall` (float[H, W] in [0, 1]) on the cells of `region`.
+def calibration(p_wall: Quantized, truth: Grid, region: Mask) -> Calibration:
+    """Brier score and log loss of `p_wall` (as it is logged, [H, W]) on the cells of `region`.
 
-    `quantum` is the step between two probabilities as logged; the log loss clips to half of
-    it, so that a certain error costs much and not everything.
+    The log loss clips to half of the step between two probabilities as logged, so that a
+    certain error costs much and not everything.
     """
-    p = p_wall[region].astype(np.float64)
-    if p.size == 0:
+    if p_wall.dtype == np.float32:
+        levels, wall = p_wall[region], truth[region] > 0
+        errors, losses = _penalties(levels, wall)
+    else:
+        codes = np.empty(p_wall.size, np.int32)
+        count = kernels.gather_levels(p_wall, truth, region, codes)
+        of_error, of_loss = _penalties_of_levels(p_wall.dtype)
+        errors, losses = of_error.take(codes[:count]), of_loss.take(codes[:count])
+    if errors.size == 0:
         return Calibration(float("nan"), float("nan"))
-    wall = truth[region] > 0
-    said = np.clip(np.where(wall, p, 1 - p), quantum / 2, 1 - quantum / 2)
-    return Calibration(float(np.mean((p - wall) ** 2)), float(-np.mean(np.log(said))))
+    return Calibration(float(np.mean(errors)), float(np.mean(losses)))
+
+
+def _penalties(levels: Quantized, wall: Mask) -> tuple[Reals, Reals]:
+    """Squared error and -log of the probability that was given to the truth, of each cell."""
+    p, half = mapping.dequantize(levels), mapping.quantum(levels) / 2
+    said = np.clip(np.where(wall, p, 1 - p), half, 1 - half)
+    return (p - wall) ** 2, -np.log(said)
+
+
+@lru_cache(maxsize=2)
+def _penalties_of_levels(dtype: np.dtype[np.unsignedinteger]) -> tuple[Reals, Reals]:
+    """The same of level k of an integer prediction: at 2 k for a free cell, 2 k + 1 for a wall."""
+    codes = np.arange(2 * (np.iinfo(dtype).max + 1))
+    return _penalties((codes // 2).astype(dtype), codes % 2 == 1)
 
 
 def _ratio(part: int, whole: int) -> float:

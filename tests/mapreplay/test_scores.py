@@ -4,10 +4,13 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from drawing import draw
 from mapreplay.floorplan import explorable
 from mapreplay.grid import Cell
+from mapreplay.mapping import PredictionDtype, dequantize, quantize, quantum
 from mapreplay.scores import Coverage, MapScore, UnknownAs, calibration, coverage, score, tally
 
 TRUTH = draw("""
@@ -88,19 +91,39 @@ def test_coverage_counts_known_explorable_cells_and_correct_coverage_the_right_o
 
 
 def test_calibration_by_hand() -> None:
-    truth, p = draw("#."), np.array([[0.8, 0.4]])
+    truth, p = draw("#."), np.array([[204, 102]], np.uint8)  # .8 and .4
     everywhere = np.ones((1, 2), np.bool_)
-    result = calibration(p, truth, everywhere, 1 / 255)
+    result = calibration(p, truth, everywhere)
     assert result.brier == pytest.approx((0.2**2 + 0.4**2) / 2)
     assert result.log_loss == pytest.approx(-(math.log(0.8) + math.log(0.6)) / 2)
 
 
+@settings(deadline=None)  # the first call loads what is compiled
+@given(st.sampled_from(PredictionDtype), st.integers(0, 2**32), st.integers(1, 40))
+def test_calibration_is_what_the_formula_says_cell_by_cell_to_the_last_bit(
+    dtype: PredictionDtype, seed: int, side: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    raw = rng.random((side, 23)).astype(np.float32)
+    p_wall = quantize(np.rint(raw * 3) / 3 if seed % 2 else raw, dtype)
+    truth = rng.choice(np.array([-1, 0, 100], np.int8), raw.shape)
+    region = rng.random(raw.shape) < 0.7
+    result = calibration(p_wall, truth, region)
+    if not region.any():
+        assert math.isnan(result.brier)
+        return
+    p, wall, half = dequantize(p_wall)[region], truth[region] > 0, quantum(p_wall) / 2
+    said = np.clip(np.where(wall, p, 1 - p), half, 1 - half)
+    assert result.brier == float(np.mean((p - wall) ** 2))
+    assert result.log_loss == float(-np.mean(np.log(said)))
+
+
 def test_log_loss_of_a_certain_error_is_that_of_half_a_quantum() -> None:
-    result = calibration(np.array([[0.0]]), draw("#"), np.ones((1, 1), np.bool_), 1 / 255)
+    result = calibration(np.zeros((1, 1), np.uint8), draw("#"), np.ones((1, 1), np.bool_))
     assert result.log_loss == pytest.approx(-math.log(0.5 / 255))
 
 
 def test_calibration_of_no_cell_is_nan() -> None:
-    result = calibration(np.zeros((1, 1)), draw("#"), np.zeros((1, 1), np.bool_), 1 / 255)
+    result = calibration(np.zeros((1, 1), np.uint8), draw("#"), np.zeros((1, 1), np.bool_))
     assert math.isnan(result.brier)
     assert math.isnan(result.log_loss)
