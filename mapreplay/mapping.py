@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from fractions import Fraction
 from functools import lru_cache
-from typing import Final
+from typing import Final, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -89,7 +89,7 @@ def threshold(quantized: Quantized, thresholds: Thresholds) -> Grid:
     """
     top = _TOP.get(quantized.dtype)
     if top is not None:
-        return _classes_of_levels(top, thresholds).take(quantized)
+        return _classes_of_levels(top, thresholds).take(cast("npt.NDArray[np.uint8]", quantized))
     free = quantized <= np.float32(float(thresholds.free_at_most))
     occupied = quantized >= np.float32(float(thresholds.occupied_at_least))
     cells = np.where(occupied, np.int8(OCCUPIED), np.int8(UNKNOWN))
