@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.metadata import version
 from itertools import pairwise
@@ -163,17 +163,23 @@ def run_episode(episode: Episode, past: Past | None = None) -> Iterator[Step]:
     header, sensor = episode.header, episode.header.sensor
     plan = header.floor_plan
     past = past or Past.at_start(header)
+    last: Step | None = None
     while True:
         clock = [perf_counter_ns()]
         hits = sense(plan.cells, past.agent, sensor)
         observed = accumulate(past.observed, past.agent, hits, sensor)
+        # Where nothing new was seen, all that follows from the observed map is what it was.
+        same = last if last and np.array_equal(last.observed, observed) else None
         clock.append(perf_counter_ns())
-        p_wall = predict(header, episode.predictor, observed)
+        p_wall = same.p_wall if same else predict(header, episode.predictor, observed)
         clock.append(perf_counter_ns())
-        fused = mapping.fuse(observed, p_wall, header.thresholds)
+        fused = same.fused if same else mapping.fuse(observed, p_wall, header.thresholds)
         clock.append(perf_counter_ns())
         path_length = past.travelled.metres(plan.resolution)
-        metrics = measure(header, episode.explorable, observed, p_wall, fused, path_length)
+        if same:
+            metrics = replace(same.metrics, path_length=path_length)
+        else:
+            metrics = measure(header, episode.explorable, observed, p_wall, fused, path_length)
         clock.append(perf_counter_ns())
         view = look_around(header.config, past.agent, observed, fused)
         outcome = outcome_of(header, past.index, metrics, view)
@@ -196,6 +202,7 @@ def run_episode(episode: Episode, past: Past | None = None) -> Iterator[Step]:
             profile=StepProfile(*(after - before for before, after in pairwise(clock))),
         )
         yield step
+        last = step
         if decision is None:
             return
         past = past.after(step, decision.next_cell, header)

@@ -84,6 +84,8 @@ class EagerNetwork:
 def pad_to_multiple(cells: Grid) -> Grid:
     """`cells` with unknown rows and columns added at the high ends, to a multiple of 8."""
     height, width = cells.shape
+    if height % STRIDE_MULTIPLE == width % STRIDE_MULTIPLE == 0:
+        return cells
     return np.pad(
         cells,
         ((0, -height % STRIDE_MULTIPLE), (0, -width % STRIDE_MULTIPLE)),

@@ -1,7 +1,7 @@
 """Whole episodes: configurations, outcomes, the fail-safe, and what can never happen."""
 
 from collections.abc import Callable
-from itertools import pairwise
+from itertools import groupby, pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,7 @@ from mapreplay.errors import MapreplayError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.floorplans.procedural import generate
 from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from mapreplay.mapping import PredictionDtype, quantize
 from mapreplay.planners import Choice, Planner
 from mapreplay.planners.cost_utility import CostUtility
 from mapreplay.planners.nearest import NearestFrontier
@@ -230,6 +231,31 @@ def test_a_headline_that_is_reached_lost_and_reached_again_is_told_once() -> Non
     assert reached[:4] == [True, False, True, False]
     told = [s.index for s in steps for e in s.events if e.kind is EventKind.CORRECT_REACHED]
     assert told == [0]
+
+
+class Counting:
+    """Remembers what it was asked."""
+
+    identity = NoisyPredictor.identity
+
+    def __init__(self) -> None:
+        self.asked: list[bytes] = []
+
+    def predict(self, observed: Grid) -> npt.NDArray[np.float32]:
+        self.asked.append(observed.tobytes())
+        return NoisyPredictor().predict(observed)
+
+
+def test_where_nothing_new_was_seen_nothing_is_predicted_again() -> None:
+    predictor = Counting()
+    steps = explore(generate(60000), predictor, RandomExploration(), plan_on="observed")
+    maps = [step.observed.tobytes() for step in steps]
+    assert predictor.asked == [a for a, _ in groupby(maps)]
+    assert len(predictor.asked) < len(steps) / 2
+    for step in steps:  # and yet every step has its own map's prediction
+        expected = quantize(NoisyPredictor().predict(step.observed), PredictionDtype.UINT8)
+        assert step.p_wall is not None
+        assert (step.p_wall == expected).all()
 
 
 def test_the_best_rivals_are_logged_best_first() -> None:
