@@ -155,7 +155,7 @@ def _signs(count: int) -> npt.NDArray[np.float64]:
     else:
         bits = np.random.default_rng(0).integers(0, 2, (PERMUTATIONS + 1, count))
         bits[0] = 1
-    return 2.0 * bits - 1
+    return (2 * bits - 1).astype(np.float64)
 
 
 def _two_sided(null: npt.NDArray[np.float64], observed: float) -> float:
