@@ -1,4 +1,4 @@
-"""`mapreplay bench`: how fast simulator and log are, and what a predictor is worth."""
+"""`mapreplay bench`: how fast simulator, predictor and log are, and what a predictor is worth."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mapreplay.cli.output import Format, FormatOption, emit, note
-from mapreplay.errors import FloorPlanError
+from mapreplay.errors import FloorPlanError, UsageError
 
 if TYPE_CHECKING:
     from mapreplay.floorplan import FloorPlan
@@ -91,6 +91,41 @@ def worth(
         f"reduction {mean.mean:.1%}, 95 % interval {mean.low:.1%} to {mean.high:.1%}, "
         f"{mean.plans} floor plans"
     )
+
+
+@bench_app.command()
+def predict(
+    predictor: Annotated[str, typer.Option(help="d1, d2, or a .safetensors file.")] = "d1",
+    size: Annotated[int, typer.Option(min=8, help="Cells a side, a multiple of 8.")] = 64,
+    maps: Annotated[int, typer.Option(min=1, help="Observed maps to predict.")] = 64,
+    rounds: Annotated[int, typer.Option(min=1, help="Repetitions; the best is printed.")] = 5,
+    form: FormatOption = Format.TABLE,
+) -> None:
+    """The network on one core beside PyTorch: time a map, and how far the numbers differ."""
+    if size % 8:
+        raise UsageError(f"--size {size}: not a multiple of 8")
+    import polars as pl
+
+    from mapreplay.analysis.benchmark_predict import measure_prediction
+    from mapreplay.predictors.trained import WEIGHTS
+
+    named = WEIGHTS / f"{predictor}.safetensors"
+    weights = named if named.exists() else Path(predictor)
+    lines = [asdict(line) for line in measure_prediction(weights, size, maps, rounds)]
+    text = pl.DataFrame(
+        [
+            {
+                "how": line["how"],
+                "ms a map": f"{line['ms_per_map']:.2f}",
+                "maps/s": f"{line['maps_per_second']:.0f}",
+                "speed-up": f"{line['speed_up']:.2f}",
+                "max diff": f"{line['largest_difference']:.1e}",
+                "uint8 that differ": f"{line['quanta']} of {maps * size * size}",
+            }
+            for line in lines
+        ]
+    )
+    emit(pl.DataFrame(lines), "mapreplay.bench.predict/1", form, text=text)
 
 
 @bench_app.command()

@@ -39,6 +39,18 @@ class TrainedPredictor:
         return np.ascontiguousarray(p_wall[:height, :width])
 
 
+def load_model(path: Path) -> MapPredictor:
+    """PyTorch's network with the weights of the safetensors file `path`.
+
+    Raises:
+        WeightsError: it cannot be read, or holds the weights of another network.
+    """
+    tensors, _ = load_tensors(path)
+    model = MapPredictor().eval()
+    load_state(model, tensors, path)
+    return model
+
+
 def load_network(path: Path, device: str, name: str | None = None) -> TrainedPredictor:
     """The network whose weights are in the safetensors file `path`.
 
@@ -46,9 +58,7 @@ def load_network(path: Path, device: str, name: str | None = None) -> TrainedPre
         WeightsError: it cannot be read, or holds the weights of another network.
         UsageError: there is no such device.
     """
-    tensors, _ = load_tensors(path)
-    model = MapPredictor()
-    load_state(model, tensors, path)
+    model = load_model(path)
     identity = PredictorIdentity(name or path.name, file_sha256(path))
     try:
         return TrainedPredictor(model, identity, device)

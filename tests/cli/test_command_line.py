@@ -292,6 +292,20 @@ def test_bench_sim_prints_a_rate(cli: Run) -> None:
     assert " steps/s, median of 2 episodes" in result.out
 
 
+def test_bench_predict_sets_our_network_beside_pytorch(cli: Run) -> None:
+    small = ("bench", "predict", "--size", 16, "--maps", 3, "--rounds", 1)
+    table = cli(*small)
+    assert table.code == 0, table.err
+    assert max(map(len, table.out.splitlines())) <= 80
+    rows = json.loads(cli(*small, "--format", "json").out)["rows"]
+    assert [row["how"].split(",")[0] for row in rows] == ["PyTorch"] * 3 + ["mapreplay"]
+    assert rows[0]["speed_up"] == 1
+    assert rows[0]["largest_difference"] == 0
+    assert 0 < rows[3]["largest_difference"] < 1e-4
+    assert all(row["quanta"] <= 3 for row in rows)
+    assert cli("bench", "predict", "--size", 12).err.startswith("mapreplay: --size 12: not a mult")
+
+
 def test_train_makes_weights_that_run_can_use(cli: Run, tmp_path: Path) -> None:
     out = tmp_path / "tiny.safetensors"
     arguments = ["train", "--floorplans", "procedural:0-7", "--validate", "procedural:50000-50001",
