@@ -11,15 +11,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
+from mapreplay.analysis import kernels
 from mapreplay.analysis.statistics import Estimate, pooled_interval
-from mapreplay.grid import OCCUPIED, UNKNOWN, Grid, Mask, Quantized
+from mapreplay.grid import Grid, Mask, Quantized
 from mapreplay.mapping import Thresholds, dequantize
 
 DISTANCES: Final = (1, 2, 4, 8, 16)
@@ -77,10 +77,8 @@ def distance_from_observed(observed: Grid) -> npt.NDArray[np.int32]:
 
     0 for observed cells; the larger side of the map where nothing was observed.
     """
-    unseen = observed == UNKNOWN
-    if unseen.all():
-        return np.full(observed.shape, max(observed.shape), np.int32)
-    distance: npt.NDArray[np.int32] = ndimage.distance_transform_cdt(unseen, metric="chessboard")
+    distance = np.empty(observed.shape, np.int32)
+    kernels.chessboard_distance(observed, distance)
     return distance
 
 
@@ -95,15 +93,15 @@ def count_cells(
 
     All are [H, W]. Cells whose truth is unknown do not count.
     """
+    level = p_wall
+    if p_wall.dtype != np.uint8:
+        level = np.rint(dequantize(p_wall) * (FINE_LEVELS - 1)).astype(np.uint16)
     levels = LEVELS if p_wall.dtype == np.uint8 else FINE_LEVELS
-    level = np.rint(dequantize(p_wall) * (levels - 1)).astype(np.int64)
-    mask = region & (observed == UNKNOWN) & (truth != UNKNOWN)
-    group = np.searchsorted(distances, distance_from_observed(observed)[mask])
-    occupied = truth[mask] == OCCUPIED
-    shape = (len(distances) + 1, 2, levels)
-    place = (group * 2 + occupied) * levels + level[mask]
-    cells = np.bincount(place, minlength=math.prod(shape)).reshape(shape)
-    return PredictionCounts(cells.astype(np.int64), distances)
+    group_of = np.searchsorted(distances, np.arange(max(observed.shape) + 1))
+    cells = np.zeros((len(distances) + 1, 2, levels), np.int64)
+    distance = distance_from_observed(observed)
+    kernels.count_levels(level, truth, observed, region, distance, group_of, cells)
+    return PredictionCounts(cells, distances)
 
 
 def no_cells(levels: int = LEVELS, distances: tuple[int, ...] = DISTANCES) -> PredictionCounts:
@@ -157,26 +155,46 @@ class CalibrationScores:
     """Probability that a wall got a higher p_wall than a free cell, ties counting half."""
 
 
+@dataclass(frozen=True, eq=False)
+class ScoreColumns:
+    """The fields of `CalibrationScores`, each as an array of one value for each set of cells."""
+
+    cells: npt.NDArray[np.int64]
+    wall_share: npt.NDArray[np.float64]
+    mean_p: npt.NDArray[np.float64]
+    ece: npt.NDArray[np.float64]
+    brier: npt.NDArray[np.float64]
+    log_loss: npt.NDArray[np.float64]
+    auroc: npt.NDArray[np.float64]
+
+
+def score_columns(counts: npt.NDArray[np.int64]) -> ScoreColumns:
+    """All scores of many sets of cells at once: int64[..., 2, levels], see `PredictionCounts`."""
+    free, occupied = counts[..., 0, :].astype(np.float64), counts[..., 1, :].astype(np.float64)
+    both, levels = free + occupied, counts.shape[-1]
+    p = np.arange(levels) / (levels - 1)
+    half = 0.5 / (levels - 1)
+    clipped = np.clip(p, half, 1 - half)
+    starts = np.ceil(np.arange(BINS) * (levels - 1) / BINS).astype(np.intp)
+    gap = np.add.reduceat(both * p, starts, axis=-1) - np.add.reduceat(occupied, starts, axis=-1)
+    cells, walls = both.sum(axis=-1), occupied.sum(axis=-1)
+    ranks = (occupied * (np.cumsum(free, axis=-1) - free / 2)).sum(axis=-1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return ScoreColumns(
+            cells=cells.astype(np.int64),
+            wall_share=walls / cells,
+            mean_p=both @ p / cells,
+            ece=np.abs(gap).sum(axis=-1) / cells,
+            brier=(free @ p**2 + occupied @ (1 - p) ** 2) / cells,
+            log_loss=-(free @ np.log1p(-clipped) + occupied @ np.log(clipped)) / cells,
+            auroc=ranks / (walls * (cells - walls)),
+        )
+
+
 def calibration_scores(counts: PredictionCounts) -> CalibrationScores:
     """All scores of the counted cells together."""
-    free, occupied = counts.total
-    p, cells, walls = counts.p_wall, int(counts.total.sum()), int(occupied.sum())
-    half = 0.5 / (p.size - 1)
-    clipped = np.clip(p, half, 1 - half)
-    bins = reliability(counts)
-    return CalibrationScores(
-        cells=cells,
-        wall_share=_ratio(walls, cells),
-        mean_p=_ratio(float(((free + occupied) * p).sum()), cells),
-        ece=_ratio(sum(b.cells * abs(b.mean_p - b.wall_share) for b in bins if b.cells), cells),
-        brier=_ratio(float((free * p**2 + occupied * (1 - p) ** 2).sum()), cells),
-        log_loss=_ratio(
-            -float((free * np.log1p(-clipped) + occupied * np.log(clipped)).sum()), cells
-        ),
-        auroc=_ratio(
-            float((occupied * (np.cumsum(free) - free / 2)).sum()), walls * (cells - walls)
-        ),
-    )
+    columns = score_columns(counts.total)
+    return CalibrationScores(**{f.name: getattr(columns, f.name).item() for f in fields(columns)})
 
 
 @dataclass(frozen=True)

@@ -297,6 +297,43 @@ def events_of(
     return tuple(events)
 
 
+def ask(
+    header: EpisodeHeader,
+    planner: Planner,
+    past: Past,
+    observed: Grid,
+    p_wall: Quantized | None,
+    view: View,
+) -> Choice:
+    """What the planner makes of the frontier of `view`: a rating of each of its cells.
+
+    Raises:
+        MapreplayError: the planner's answer does not fit the frontier.
+    """
+    config = header.config
+    on_fused = config.plan_on is MapKind.FUSED and view.mode is Mode.NORMAL
+    choice = planner.choose(
+        Situation(
+            agent=past.agent,
+            plan_map=view.plan_map,
+            observed=observed,
+            prediction=p_wall if on_fused else None,
+            frontier=view.frontier,
+            paths=view.paths,
+            previous_target=past.previous_target,
+            draws=Draws(config.seed, Purpose.PLANNER, past.index),
+            sensor=header.sensor,
+        )
+    )
+    count = len(view.frontier)
+    if not (0 <= choice.index < count and len(choice.utility) == len(choice.reward) == count):
+        raise MapreplayError(
+            f"planner {config.planner!r} chose number {choice.index} of {count} frontier cells "
+            f"and rated {len(choice.utility)}"
+        )
+    return choice
+
+
 def decide(
     header: EpisodeHeader,
     planner: Planner,
@@ -310,29 +347,9 @@ def decide(
     Raises:
         MapreplayError: the planner's answer does not fit the frontier.
     """
-    config = header.config
-    on_fused = config.plan_on is MapKind.FUSED and view.mode is Mode.NORMAL
-    situation = Situation(
-        agent=past.agent,
-        plan_map=view.plan_map,
-        observed=observed,
-        prediction=p_wall if on_fused else None,
-        frontier=view.frontier,
-        paths=view.paths,
-        previous_target=past.previous_target,
-        draws=Draws(config.seed, Purpose.PLANNER, past.index),
-        sensor=header.sensor,
-    )
-    choice = planner.choose(situation)
-    count = len(view.frontier)
-    if not (0 <= choice.index < count and len(choice.utility) == len(choice.reward) == count):
-        raise MapreplayError(
-            f"planner {config.planner!r} chose number {choice.index} of {count} frontier cells "
-            f"and rated {len(choice.utility)}"
-        )
-
+    choice = ask(header, planner, past, observed, p_wall, view)
     ranking = [choice.index]
-    order = np.lexsort((situation.costs, -choice.utility))[: MAX_RIVALS + 1]
+    order = np.lexsort((view.paths.costs(view.frontier), -choice.utility))[: MAX_RIVALS + 1]
     ranking += [i for i in order.tolist() if i != choice.index][:MAX_RIVALS]
     candidates = _candidates(view, choice, ranking)
     return Decision(

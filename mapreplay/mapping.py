@@ -87,22 +87,35 @@ def threshold(quantized: Quantized, thresholds: Thresholds) -> Grid:
     Integer predictions are compared exactly, float32 ones with the threshold rounded to
     float32. A value that satisfies both is free.
     """
-    top = _TOP.get(quantized.dtype)
-    if top is not None:
-        return _classes_of_levels(top, thresholds).take(cast("npt.NDArray[np.uint8]", quantized))
-    free = quantized <= np.float32(float(thresholds.free_at_most))
-    occupied = quantized >= np.float32(float(thresholds.occupied_at_least))
-    cells = np.where(occupied, np.int8(OCCUPIED), np.int8(UNKNOWN))
-    cells[free] = FREE
+    if quantized.dtype in _TOP:
+        levels = cast("npt.NDArray[np.uint8]", quantized)
+        return _classes_of_levels(levels.dtype, thresholds).take(levels)
+    free, occupied = sure_levels(quantized, thresholds)
+    cells = np.where(quantized >= np.float32(occupied), np.int8(OCCUPIED), np.int8(UNKNOWN))
+    cells[quantized <= np.float32(free)] = FREE
     return cells
 
 
+def sure_levels(quantized: Quantized, thresholds: Thresholds) -> tuple[float, float]:
+    """The largest value of a prediction that is free, and the smallest that is occupied.
+
+    Values are as they are logged; exact for integers, rounded to float32 for float32.
+    """
+    low, high = thresholds.free_at_most, thresholds.occupied_at_least
+    top = _TOP.get(quantized.dtype)
+    if top is None:
+        return float(np.float32(float(low))), float(np.float32(float(high)))
+    return math.floor(low * top), math.ceil(high * top)
+
+
 @lru_cache(maxsize=8)
-def _classes_of_levels(top: int, thresholds: Thresholds) -> Grid:
+def _classes_of_levels(dtype: np.dtype[np.unsignedinteger], thresholds: Thresholds) -> Grid:
     """int8[top + 1]: what each level of an integer prediction is taken for."""
-    classes = np.full(top + 1, UNKNOWN, np.int8)
-    classes[math.ceil(thresholds.occupied_at_least * top) :] = OCCUPIED
-    classes[: math.floor(thresholds.free_at_most * top) + 1] = FREE
+    levels = np.arange(_TOP[dtype] + 1, dtype=dtype)
+    free, occupied = sure_levels(cast("Quantized", levels), thresholds)
+    classes = np.full(levels.size, UNKNOWN, np.int8)
+    classes[levels >= occupied] = OCCUPIED
+    classes[levels <= free] = FREE
     return classes
 
 

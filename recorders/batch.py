@@ -146,7 +146,7 @@ class _Worker:
     def start(cls, context: multiprocessing.context.SpawnContext) -> _Worker:
         ours, theirs = context.Pipe()
         process = context.Process(target=_work, args=(theirs,), daemon=True)
-        with _ignoring_interrupts():
+        with ignoring_interrupts():
             process.start()
         theirs.close()
         return cls(process, ours)
@@ -177,7 +177,7 @@ class _Worker:
 
 
 @contextmanager
-def _ignoring_interrupts() -> Iterator[None]:
+def ignoring_interrupts() -> Iterator[None]:
     """What is started in here ignores Ctrl-C, from its first instruction on.
 
     Ctrl-C reaches the whole process group; the parent alone decides what it means.

@@ -15,6 +15,7 @@ import typer
 
 from mapreplay.cli.bench import bench_app
 from mapreplay.cli.branch import branch
+from mapreplay.cli.diff import diff
 from mapreplay.cli.export import export
 from mapreplay.cli.floorplans import floorplans
 from mapreplay.cli.info import info
@@ -25,6 +26,7 @@ from mapreplay.cli.run import run
 from mapreplay.cli.train import train
 from mapreplay.cli.verify import verify
 from mapreplay.cli.view import view
+from mapreplay.cli.whatif import whatif
 from mapreplay.errors import MapreplayError
 
 INTERRUPTED = 130
@@ -60,7 +62,7 @@ def _mapreplay(
 
 
 for _verb in (
-    run, view, ls, info, metrics, branch, recover, export, floorplans, train, verify,
+    run, view, ls, info, metrics, diff, branch, whatif, recover, export, floorplans, train, verify,
 ):  # fmt: skip
     app.command()(_verb)
 app.add_typer(bench_app, name="bench")

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mapreplay.cli.output import note
-from mapreplay.errors import LogError, UsageError
+from mapreplay.errors import UsageError
 
 if TYPE_CHECKING:
+    from mapreplay.analysis.corpus import LoggedEpisode
     from mapreplay.analysis.episodes import EpisodeRow
     from mapreplay.recorders.log import EpisodeLog
 
@@ -25,29 +26,46 @@ WhereOption = Annotated[
 
 
 def choose(paths: list[Path], where: list[str] | None) -> tuple[list[EpisodeRow], int]:
-    """The episodes found at `paths` that satisfy all conditions, and how many files could not
-    be read; each of those is named on stderr.
+    """The rows of `read_episodes`, and how many files could not be read.
 
     Raises:
         LogError: nothing is there, or nothing that can be read.
     """
-    from mapreplay.analysis.episodes import Condition, episode_row
+    episodes, unreadable = read_episodes(paths, where)
+    return [episode.row for episode in episodes], unreadable
+
+
+def read_episodes(
+    paths: list[Path], where: list[str] | None, jobs: int = 1
+) -> tuple[list[LoggedEpisode], int]:
+    """The episodes found at `paths` that satisfy all conditions, in order, and how many files
+    could not be read; each of those is named on stderr.
+
+    Raises:
+        LogError: nothing is there, or nothing that can be read.
+    """
+    from mapreplay.analysis.corpus import LoggedEpisode, read_corpus
+    from mapreplay.analysis.episodes import Condition
+    from mapreplay.cli.progress import progress_bar
     from mapreplay.recorders.log import find_logs
 
     conditions = [Condition.parse(text) for text in where or []]
-    rows, unreadable = [], []
-    for path in find_logs(paths):
-        try:
-            rows.append(episode_row(path))
-        except LogError as error:
-            unreadable.append(str(error))
-    if unreadable and not rows:
-        raise LogError(unreadable[0])
-    for line in unreadable:
-        note(f"unreadable: {line}")
-    chosen = [row for row in rows if all(c.holds(row) for c in conditions)]
-    if rows and not chosen:
-        note(f"none of {len(rows)} episodes is like that")
+    logs = find_logs(paths)
+    episodes, unreadable = [], []
+    with progress_bar() as bar:
+        for found in bar.track(read_corpus(logs, jobs), len(logs), description="episodes"):
+            if isinstance(found, LoggedEpisode):
+                episodes.append(found)
+            else:
+                unreadable.append(found)
+    if unreadable and not episodes:
+        raise unreadable[0].error
+    for failed in unreadable:
+        note(f"unreadable: {failed.error}")
+    episodes.sort(key=lambda episode: episode.path)
+    chosen = [e for e in episodes if all(c.holds(e.row) for c in conditions)]
+    if episodes and not chosen:
+        note(f"none of {len(episodes)} episodes is like that")
     return chosen, len(unreadable)
 
 

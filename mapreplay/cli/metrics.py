@@ -1,23 +1,57 @@
-"""`mapreplay metrics`: recompute every metric of every step from a log's maps."""
+"""`mapreplay metrics`: recompute every metric of any number of logs from their maps."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
 from mapreplay.cli.logs import PathsArgument, WhereOption, choose
-from mapreplay.cli.output import LOST, ForceOption, Format, FormatOption, OutputOption, emit, note
+from mapreplay.cli.output import (
+    LOST,
+    ForceOption,
+    Format,
+    FormatOption,
+    OutputOption,
+    emit,
+    emit_parts,
+    note,
+)
 from mapreplay.errors import LogError, UsageError
 
-SHOWN = ("step", "coverage_observed", "coverage_fused", "correct_coverage_fused", "precision",
-         "recall", "f1", "iou")  # fmt: skip
+if TYPE_CHECKING:
+    import polars as pl
+
+    from mapreplay.analysis.measure_many import MeasuredLog
+    from mapreplay.analysis.measurements import Scope
+    from mapreplay.analysis.store import Store
+
+STEP_COLUMNS: Final = ("step", "coverage_observed", "coverage_fused", "correct_coverage_fused",
+                       "f1", "iou", "ece_unobserved", "auroc_unobserved")  # fmt: skip
+SHORT: Final = {
+    "coverage_observed": "observed",
+    "coverage_fused": "fused",
+    "correct_coverage_fused": "correct",
+    "ece_unobserved": "ece",
+    "auroc_unobserved": "auroc",
+}
+
+
+class Per(StrEnum):
+    """What a row is of."""
+
+    STEP = "step"
+    EPISODE = "episode"
 
 
 def metrics(
     paths: PathsArgument,
     where: WhereOption = None,
+    per: Annotated[Per, typer.Option(help="One row a step, or one an episode.")] = Per.STEP,
     metric: Annotated[
         list[str] | None, typer.Option(help="A further metric by name; can be repeated.")
     ] = None,
@@ -27,60 +61,136 @@ def metrics(
     region: Annotated[
         str, typer.Option(help="Cells that count: explorable or all.")
     ] = "explorable",
+    jobs: Annotated[
+        int | None,
+        typer.Option(min=1, show_default="the cores, for many logs", help="Processes."),
+    ] = None,
+    no_cache: Annotated[
+        bool, typer.Option("--no-cache", help="Measure anew, and keep nothing for the next time.")
+    ] = False,
     form: FormatOption = Format.TABLE,
     output: OutputOption = None,
     force: ForceOption = False,
 ) -> None:
-    """Recompute the metrics of every step.
+    """Recompute all metrics, per step or per episode.
 
-    From the logged maps alone; with the default options they are compared with what was
-    recorded, bit for bit.
+    From the logged maps:
+
+    Scores, coverage and its milestones, calibration on unobserved cells, also by distance from
+    the observed ones, and how stable the prediction is. With the default options they are
+    compared with what was recorded, bit for bit.
     """
-    import numpy as np
-    import polars as pl
-
-    from mapreplay.analysis.metrics import (
-        Measured,
-        disagreements,
-        load_metric,
-        metrics_frame,
-        recompute,
-    )
-    from mapreplay.recorders.log import EpisodeLog
+    from mapreplay.analysis.measurements import Scope
+    from mapreplay.recorders.log import find_logs
     from mapreplay.scores import UnknownAs
 
     if unknown_as not in set(UnknownAs):
         raise UsageError(f"--unknown-as {unknown_as}: should be {', '.join(UnknownAs)}")
     if region not in {"explorable", "all"}:
         raise UsageError(f"--region {region}: should be explorable or all")
-    extra = {name: load_metric(name) for name in metric or []}
-    as_recorded = unknown_as == "free" and region == "explorable"
-    rows, unreadable = choose(paths, where)
-    frames, wrong = [], []
-    for row in rows:
-        log = EpisodeLog(Path(row.file))
-        everywhere = np.ones(log.header.floor_plan.shape, np.bool_)
-        measured: list[Measured] = list(
-            recompute(
-                log,
-                unknown_as=UnknownAs(unknown_as),
-                region=None if region == "explorable" else everywhere,
-                extra=extra,
-            )
-        )
-        if as_recorded:
-            wrong += [f"{row.file}: {d}" for step in measured for d in disagreements(step)]
-        frame = metrics_frame(measured, list(extra))
-        frames.append(frame.insert_column(0, pl.Series("file", [row.file] * len(frame))))
-    if not frames:
-        note("no episode is like that")
+    scope = Scope(UnknownAs(unknown_as), everywhere=region == "all")
+    unreadable = 0
+    if where:
+        rows, unreadable = choose(paths, where)
+        logs = [Path(row.file) for row in rows]
+    else:
+        logs = find_logs(paths)
+    if not logs:
         return
-    table = pl.concat(frames)
-    shown = [*SHOWN, *extra] if len(frames) == 1 else ["file", *SHOWN, *extra]
-    emit(table, "mapreplay.metrics/1", form, output, text=table.select(shown), force=force)
-    if wrong:
-        raise LogError(f"{wrong[0]} ({len(wrong)} values disagree)")
-    if as_recorded:
-        note(f"{len(table)} steps agree with what was recorded, bit for bit")
-    if unreadable:
+    further = metric or []
+    with _store(no_cache=no_cache or bool(further)) as store:
+        measured, lost = _measure(logs, store, scope, further, jobs)
+        import polars as pl
+
+        episodes = pl.concat([log.episode() for log in measured])
+        if per is Per.EPISODE:
+            brief = _brief(episodes, further)
+            emit(episodes, "mapreplay.metrics.episodes/1", form, output, text=brief, force=force)
+        else:
+            steps = [log.steps() for log in measured]
+            shown = [*STEP_COLUMNS, *further]
+            text = pl.concat(steps).select("file", *shown).rename(SHORT)
+            if len(measured) == 1:
+                text = text.drop("file")
+            emit_parts(steps, "mapreplay.metrics/2", form, output, text=text, force=force)
+    _tell(episodes, scope, sum(log.known for log in measured))
+    if unreadable or lost:
         raise typer.Exit(LOST)
+
+
+@contextmanager
+def _store(*, no_cache: bool) -> Iterator[Store]:
+    """The cache, or where nothing is kept."""
+    from mapreplay.analysis.store import Store, cache_folder, temporary_store
+
+    if no_cache:
+        with temporary_store() as store:
+            yield store
+        return
+    store = Store(cache_folder())
+    try:
+        store.folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        note(f"{store.folder}: cannot be written ({error.strerror}); nothing is kept")
+        with temporary_store() as store:
+            yield store
+        return
+    yield store
+    store.trim()
+
+
+def _measure(
+    logs: list[Path], store: Store, scope: Scope, further: list[str], jobs: int | None
+) -> tuple[list[MeasuredLog], int]:
+    """The measured logs in order, and how many could not be read; each is named on stderr."""
+    from mapreplay.analysis.measure_many import MeasuredLog, measure_logs
+    from mapreplay.analysis.pool import default_jobs
+    from mapreplay.cli.progress import progress_bar
+
+    measured, lost = [], []
+    results = measure_logs(
+        logs, store, scope=scope, metrics=further, jobs=jobs or default_jobs(len(logs))
+    )
+    with progress_bar() as bar:
+        for result in bar.track(results, len(logs), description="episodes"):
+            if isinstance(result, MeasuredLog):
+                measured.append(result)
+            else:
+                lost.append(result)
+    if not measured:
+        raise lost[0].error
+    for failed in lost:
+        note(f"unreadable: {failed.error}")
+    return sorted(measured, key=lambda result: result.log), len(lost)
+
+
+def _brief(episodes: pl.DataFrame, further: list[str]) -> pl.DataFrame:
+    """Narrow enough for a terminal."""
+    import polars as pl
+
+    from mapreplay.analysis.episodes import brief
+
+    frame = brief(episodes).select("floor_plan", "planner", "maps", "outcome", "steps")
+    numbers = episodes.select(
+        pl.col("steps_to_90").alias("to 90"),
+        "area",
+        "correct",
+        "f1",
+        pl.col("ece_pooled").alias("ece"),
+        pl.col("auroc_pooled").alias("auroc"),
+        *further,
+    )
+    return pl.concat([frame, numbers], how="horizontal")
+
+
+def _tell(episodes: pl.DataFrame, scope: Scope, known: int) -> None:
+    """Whether the metrics are those that were recorded."""
+    wrong = episodes.filter(episodes["disagreements"] > 0)
+    if len(wrong):
+        file, first = wrong.select("file", "first_disagreement").row(0)
+        raise LogError(f"{file}: {first} ({wrong['disagreements'].sum()} values disagree)")
+    if scope.as_recorded:
+        steps = int(episodes["steps"].sum()) + len(episodes)
+        note(f"{steps} steps agree with what was recorded, bit for bit")
+    if known:
+        note(f"{known} of {len(episodes)} episodes were measured before, and are unchanged")

@@ -5,10 +5,15 @@ from __future__ import annotations
 import io
 import json
 import math
+import shlex
 import sys
+import tempfile
+import textwrap
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final, TypeAlias
 
 import typer
 
@@ -18,6 +23,8 @@ if TYPE_CHECKING:
     import polars as pl
 
 
+WIDTH: Final = 80
+"""Columns that a line for people has at most."""
 LOST = 3
 """Exit code: done, but something was lost or could not be read."""
 
@@ -46,10 +53,11 @@ def emit(
     form: Format,
     output: Path | None = None,
     *,
-    text: pl.DataFrame | None = None,
+    text: pl.DataFrame | Shown | None = None,
     force: bool = False,
 ) -> None:
-    """Print `frame`; as a text table, `text` in its place, if that is given.
+    """Print `frame`; for people `text` in its place, if that is given: a narrower table, or
+    several and lines between them.
 
     The ending of `output` (.json, .csv, .parquet) says its format unless `form` does.
 
@@ -59,10 +67,7 @@ def emit(
         UsageError: Parquet to a terminal, or an existing `output` without `force`.
         MapreplayError: `output` cannot be written.
     """
-    if output is not None and form is Format.TABLE:
-        form = _BY_ENDING.get(output.suffix, form)
-    if form is Format.PARQUET and output is None and sys.stdout.isatty():
-        raise UsageError("Parquet is binary: name a file with -o")
+    form = _resolve(form, output)
     if form is Format.PARQUET:
         buffer = io.BytesIO()
         frame.write_parquet(buffer)
@@ -70,15 +75,69 @@ def emit(
     elif form is Format.CSV:
         data = frame.write_csv().encode()
     elif form is Format.JSON:
-        rows = [{key: _json_value(value) for key, value in row.items()} for row in frame.to_dicts()]
-        data = (json.dumps({"schema": schema, "rows": rows}, indent=1) + "\n").encode()
+        data = (_json_head(schema) + ",".join(_json_rows(frame)) + _JSON_TAIL).encode()
     else:
-        data = _text_table(frame if text is None else text, wide=output is not None)
-    if output is None:
-        sys.stdout.buffer.write(data)
-        sys.stdout.buffer.flush()
+        data = _for_people(frame if text is None else text, wide=output is not None)
+    _deliver([data], output, force=force)
+
+
+def emit_parts(
+    parts: Sequence[pl.LazyFrame],
+    schema: str,
+    form: Format,
+    output: Path | None = None,
+    *,
+    text: pl.LazyFrame,
+    force: bool = False,
+) -> None:
+    """Like `emit`, of a table that may not fit into memory: its `parts`, one after the other.
+
+    Raises:
+        UsageError, MapreplayError: see `emit`.
+    """
+    form = _resolve(form, output)
+    if form is Format.TABLE:
+        data = _for_people(text.collect(), wide=output is not None)
+        _deliver([data], output, force=force)
+    elif form is Format.PARQUET:
+        import polars as pl
+
+        with tempfile.TemporaryFile() as file:
+            pl.concat(parts).sink_parquet(file)
+            file.seek(0)
+            _deliver(iter(lambda: file.read(1 << 20), b""), output, force=force)
+    elif form is Format.CSV:
+        frames = (part.collect() for part in parts)
+        _deliver(
+            (f.write_csv(include_header=i == 0).encode() for i, f in enumerate(frames)),
+            output,
+            force=force,
+        )
     else:
-        write_file(output, data, force=force)
+        _deliver(_json_parts(parts, schema), output, force=force)
+
+
+def _resolve(form: Format, output: Path | None) -> Format:
+    """The format that is meant, by the ending of the file if nothing else says so.
+
+    Raises:
+        UsageError: Parquet to a terminal.
+    """
+    if output is not None and form is Format.TABLE:
+        form = _BY_ENDING.get(output.suffix, form)
+    if form is Format.PARQUET and output is None and sys.stdout.isatty():
+        raise UsageError("Parquet is binary: name a file with -o")
+    return form
+
+
+def _deliver(blocks: Iterable[bytes], output: Path | None, *, force: bool) -> None:
+    """Bytes to stdout or into a file, as they come."""
+    if output is not None:
+        write_blocks(output, blocks, force=force)
+        return
+    for block in blocks:
+        sys.stdout.buffer.write(block)
+    sys.stdout.buffer.flush()
 
 
 def write_file(path: Path, data: bytes, *, force: bool) -> None:
@@ -88,9 +147,19 @@ def write_file(path: Path, data: bytes, *, force: bool) -> None:
         UsageError: it is there, and `force` was not given.
         MapreplayError: it cannot be written.
     """
+    write_blocks(path, [data], force=force)
+
+
+def write_blocks(path: Path, blocks: Iterable[bytes], *, force: bool) -> None:
+    """Write a new file, block by block.
+
+    Raises:
+        UsageError: it is there, and `force` was not given.
+        MapreplayError: it cannot be written.
+    """
     try:
         with path.open("wb" if force else "xb") as file:
-            file.write(data)
+            file.writelines(blocks)
     except FileExistsError:
         raise UsageError(f"{path} exists; choose another name, or --force") from None
     except OSError as error:
@@ -102,8 +171,61 @@ def note(line: str) -> None:
     typer.echo(line, err=True)
 
 
+def _json_head(schema: str) -> str:
+    return f'{{\n "schema": {json.dumps(schema)},\n "rows": ['
+
+
+_JSON_TAIL: Final = "\n ]\n}\n"
+
+
+def _json_rows(frame: pl.DataFrame) -> Iterator[str]:
+    """Each row as an object on lines of its own."""
+    for row in frame.iter_rows(named=True):
+        values = {key: _json_value(value) for key, value in row.items()}
+        yield "\n" + textwrap.indent(json.dumps(values, indent=1), "  ")
+
+
+def _json_parts(parts: Iterable[pl.LazyFrame], schema: str) -> Iterator[bytes]:
+    yield _json_head(schema).encode()
+    separator = ""
+    for part in parts:
+        for row in _json_rows(part.collect()):
+            yield (separator + row).encode()
+            separator = ","
+    yield _JSON_TAIL.encode()
+
+
 def _json_value(value: object) -> object:
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command line among what people see: it is never wrapped, so that it can be copied."""
+
+    words: Sequence[str]
+
+
+Shown: TypeAlias = "Sequence[str | Command | pl.DataFrame]"
+"""What people see: lines, commands and tables."""
+
+
+def _for_people(text: pl.DataFrame | Shown, *, wide: bool) -> bytes:
+    """Tables as they are, and lines wrapped to 80 columns."""
+    import polars as pl
+
+    blocks = []
+    for part in [text] if isinstance(text, pl.DataFrame) else text:
+        if isinstance(part, pl.DataFrame):
+            blocks.append(_text_table(part, wide=wide))
+            continue
+        line = (
+            shlex.join(part.words)
+            if isinstance(part, Command)
+            else textwrap.fill(part, WIDTH, subsequent_indent="  ", break_on_hyphens=False)
+        )
+        blocks.append(f"{line}\n".encode())
+    return b"".join(blocks)
 
 
 def _text_table(frame: pl.DataFrame, *, wide: bool) -> bytes:

@@ -14,6 +14,7 @@ def progress_bar(*columns: str) -> Progress:
         TextColumn("{task.percentage:>3.0f}%"),
         *(TextColumn("{task.fields[" + name + "]}") for name in columns),
         TimeRemainingColumn(),
-        console=Console(stderr=True),
+        console=(console := Console(stderr=True)),
         transient=True,
+        disable=not console.is_terminal,
     )

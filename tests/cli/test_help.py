@@ -20,6 +20,8 @@ VERBS = [
     "info",
     "metrics",
     "branch",
+    "diff",
+    "whatif",
     "verify",
     "recover",
     "export",

@@ -1,0 +1,46 @@
+"""What a coverage curve says in a few numbers: its area, and when it passed a milestone."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+Curve = npt.NDArray[np.float64]
+"""float64[n]: a coverage at step 0, 1, ..., n - 1; NaN where it is undefined."""
+
+MILESTONES: Final = (0.50, 0.75, 0.90, 0.95, 0.98)
+
+
+def first_reached(curve: Curve, level: float) -> int | None:
+    """The first step at which the curve is at `level` or above; None if it never is."""
+    reached = np.flatnonzero(curve >= level)
+    return int(reached[0]) if reached.size else None
+
+
+def extended(curve: Curve, budget: int) -> Curve:
+    """float64[budget + 1]: the curve on steps 0 to `budget`; its last value is held.
+
+    An episode that ended keeps the map that it had, whether it was mapped or sealed in.
+
+    Raises:
+        ValueError: the curve is empty, or the budget negative.
+    """
+    if curve.size == 0 or budget < 0:
+        raise ValueError(f"a curve of {curve.size} steps on a budget of {budget}")
+    return np.asarray(np.pad(curve[: budget + 1], (0, max(0, budget + 1 - curve.size)), "edge"))
+
+
+def area(curve: Curve, budget: int) -> float:
+    """The mean of the curve over steps 0 to `budget`, its last value held, in [0, 1].
+
+    This is the area under it divided by the budget: 1 would be knowing all from the start. NaN
+    for an empty curve.
+    """
+    if curve.size == 0:
+        return math.nan
+    seen = curve[: budget + 1]
+    held = budget + 1 - seen.size
+    return float((seen.sum() + held * seen[-1]) / (budget + 1))

@@ -1,0 +1,203 @@
+"""Where two episodes part: the first step at which each layer of them differs.
+
+Layers are in causal order. What two agents observe at a step can differ only if they moved
+apart before; a prediction follows from the observation, the fused map from both, the frontier
+and its ranking from the maps, the decision from the ranking, the move from the decision.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import zip_longest
+from typing import Final
+
+from mapreplay.recorders.log import EpisodeLog
+from mapreplay.step import Cells, Decision, EpisodeHeader, Step, differences
+
+
+class Layer(StrEnum):
+    """What of a step differs."""
+
+    START = "start"
+    OBSERVATION = "observation"
+    PREDICTION = "prediction"
+    FUSED = "fused map"
+    RANKING = "frontier ranking"
+    DECISION = "decision"
+    MOVE = "move"
+    END = "end"
+    RECORD = "record"
+    """Metrics or events, with everything else the same."""
+
+
+_OF_FIELD: Final = {
+    "agent": Layer.START,
+    "hits": Layer.OBSERVATION,
+    "observed": Layer.OBSERVATION,
+    "p_wall": Layer.PREDICTION,
+    "fused": Layer.FUSED,
+    "frontier": Layer.RANKING,
+    "outcome": Layer.END,
+}
+"""The decision has three layers of its own; the profile is no part of what happened."""
+_RECORD: Final = {"metrics", "events"}
+"""They follow from the rest, and are told only where nothing else differs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """A step of both episodes, and what they wanted just before."""
+
+    a: Step | None
+    """None where A has ended."""
+    b: Step | None
+    before_a: Decision | None
+    """A's decision at the step before."""
+    before_b: Decision | None
+
+    @property
+    def index(self) -> int:
+        """Of the step."""
+        step = self.a or self.b
+        return step.index if step else 0
+
+
+@dataclass(frozen=True, eq=False)
+class Partings:
+    """The first step of each layer that differs; empty if all steps are the same bit for bit."""
+
+    first: dict[Layer, Moment]
+    """In causal order within a step. Layers that had not parted when the agents did are left
+    out: from there on they are in different places."""
+    steps: int
+    """Steps that both have."""
+    headers: tuple[Said, ...]
+    """What the two logs say otherwise of the whole episode."""
+
+    @property
+    def identical(self) -> bool:
+        """Whether all that the logs say is the same, bit for bit, but for the times that it
+        took (the profile).
+        """
+        return not self.first and not self.headers
+
+    @property
+    def layer(self) -> Layer | None:
+        """The layer that parts first."""
+        return next(iter(self.first), None)
+
+
+def find_partings(a: EpisodeLog, b: EpisodeLog) -> Partings:
+    """Compare two episodes on one floor plan step by step, until the agents part.
+
+    Raises:
+        LogError: a log cannot be read.
+    """
+    first: dict[Layer, Moment] = {}
+    same_planner = a.header.config.planner == b.header.config.planner
+    shared = 0
+    for moment in _moments(a, b):
+        for layer in _differing(moment, same_planner=same_planner):
+            first.setdefault(layer, moment)
+        if moment.a is None or moment.b is None:
+            break
+        shared += 1
+        if Layer.MOVE in first or Layer.START in first:
+            break
+    order = sorted(first.items(), key=lambda item: (item[1].index, list(Layer).index(item[0])))
+    steps = shared if Layer.MOVE not in first else min(len(a), len(b))
+    return Partings(dict(order), steps, header_differences(a.header, b.header))
+
+
+def _moments(a: EpisodeLog, b: EpisodeLog) -> Iterator[Moment]:
+    before_a = before_b = None
+    for one, other in zip_longest(a.steps(), b.steps()):
+        yield Moment(one, other, before_a, before_b)
+        before_a, before_b = (step.decision if step else None for step in (one, other))
+
+
+def _differing(moment: Moment, *, same_planner: bool) -> Iterator[Layer]:
+    a, b = moment.a, moment.b
+    if a is None or b is None:
+        yield Layer.END
+        return
+    names = differences(a, b)
+    if set(names) <= _RECORD | {"profile"}:
+        yield from (Layer.RECORD for name in names if name in _RECORD)
+        return
+    for name in names:
+        if name == "decision":
+            yield from _parts_of_decision(a.decision, b.decision, same_planner=same_planner)
+        elif name == "agent":
+            # Apart without a logged decision that says so: another simulator's episodes.
+            yield Layer.START if a.index == 0 else Layer.MOVE
+        elif name in _OF_FIELD:
+            yield _OF_FIELD[name]
+
+
+def _parts_of_decision(
+    a: Decision | None, b: Decision | None, *, same_planner: bool
+) -> Iterator[Layer]:
+    if a is None or b is None:
+        yield Layer.END
+        return
+    # Other planners have other utilities; what they have in common is an order.
+    rated = _ratings if same_planner else _order
+    if rated(a) != rated(b):
+        yield Layer.RANKING
+    if (a.target, a.mode, a.random_draw) != (b.target, b.mode, b.random_draw):
+        yield Layer.DECISION
+    if a.next_cell != b.next_cell:
+        yield Layer.MOVE
+    elif not _same_cells(a.path, b.path):
+        yield Layer.DECISION
+
+
+def _ratings(decision: Decision) -> list[tuple[object, ...]]:
+    """The candidates bit for bit; NaN equals itself."""
+    return [
+        (c.cell, c.utility.hex(), c.reward.hex(), c.straight, c.diagonal)
+        for c in (decision.chosen, *decision.rivals)
+    ]
+
+
+def _order(decision: Decision) -> list[tuple[object, ...]]:
+    ranked = sorted((decision.chosen, *decision.rivals), key=lambda c: (-c.utility, c.cost, c.cell))
+    return [candidate.cell for candidate in ranked]
+
+
+def _same_cells(a: Cells, b: Cells) -> bool:
+    return a.shape == b.shape and bool((a == b).all())
+
+
+@dataclass(frozen=True)
+class Said:
+    """Something of the whole episode that two logs say otherwise."""
+
+    what: str
+    """A key of the configuration, or "floor plan", "start", "versions", ..."""
+    a: str
+    b: str
+
+
+def header_differences(a: EpisodeHeader, b: EpisodeHeader) -> tuple[Said, ...]:
+    """What two headers say otherwise; of the configuration, key by key."""
+    of_a, of_b = _facts(a), _facts(b)
+    return tuple(Said(name, of_a[name], of_b[name]) for name in of_a if of_a[name] != of_b[name])
+
+
+def _facts(header: EpisodeHeader) -> dict[str, str]:
+    facts = {key: str(value) for key, value in header.config.model_dump(mode="json").items()}
+    del facts["start"]  # the one that was asked for; what it came to follows
+    branch, weights = header.branch, header.predictor.sha256
+    return facts | {
+        "floor plan": f"{header.floor_plan.id} ({header.floor_plan.sha256[:12]})",
+        "start": str(tuple(header.start)),
+        "max_steps": str(header.max_steps),
+        "predictor": f"{header.predictor.name} ({weights[:12]})" if weights else "none",
+        "simulator": header.simulator,
+        "versions": ", ".join(f"{name} {version}" for name, version in header.versions),
+        "branch": f"step {branch.step}: {', '.join(branch.changes)}" if branch else "none",
+    }

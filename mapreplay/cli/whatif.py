@@ -1,0 +1,174 @@
+"""`mapreplay whatif`: what other thresholds would have made of the logged predictions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+import typer
+
+from mapreplay.cli.logs import LogArgument, open_log
+from mapreplay.cli.output import (
+    Command,
+    ForceOption,
+    Format,
+    FormatOption,
+    OutputOption,
+    emit,
+    note,
+    write_file,
+)
+from mapreplay.errors import UsageError
+
+if TYPE_CHECKING:
+    import polars as pl
+
+    from mapreplay.analysis.whatif import WhatIf
+    from mapreplay.recorders.log import EpisodeLog
+
+COUNT: Final = 20
+"""Thresholds between two ends, unless it is said."""
+MAX_COUNT: Final = 200
+COLUMNS: Final = 8
+"""Of the heat map in a terminal."""
+FINE: Final = 99
+"""Thresholds that are tried to find out which would have left a way on: .01, .02, ..., .99, 1."""
+
+
+def whatif(
+    log: LogArgument,
+    delta_free: Annotated[str, typer.Option(help="A threshold, or FIRST:LAST[:COUNT].")] = ".5:.99",
+    delta_occupied: Annotated[
+        str, typer.Option(help="A threshold, or FIRST:LAST[:COUNT].")
+    ] = ".5:.99",
+    step: Annotated[int, typer.Option(help="Step of the scores; -1 is the last.")] = -1,
+    plot: Annotated[
+        Path | None, typer.Option(help="Draw a heat map into this .png or .svg.")
+    ] = None,
+    form: FormatOption = Format.TABLE,
+    output: OutputOption = None,
+    force: ForceOption = False,
+) -> None:
+    """Try other thresholds on a log, open loop.
+
+    Fuses its predictions again: F1 and coverage for every pair of thresholds, when the agent
+    would have been sealed in, and when released. The trajectory stays as it was: `branch` runs
+    the episode on.
+    """
+    from mapreplay.analysis.whatif import what_if, what_if_frame
+
+    free, occupied = (
+        _values(name, text)
+        for name, text in (("--delta-free", delta_free), ("--delta-occupied", delta_occupied))
+    )
+    if plot is not None and plot.suffix not in {".png", ".svg"}:
+        raise UsageError(f"--plot {plot}: should end in .png or .svg")
+    opened = open_log(log)
+    count = len(opened)
+    if not -count <= step < count:
+        raise UsageError(f"--step {step}: {opened.path} has steps 0 to {count - 1}")
+    result = what_if(opened, free, occupied)
+    at = step % count
+    frame = what_if_frame(result, at)
+    if plot is not None:
+        _plot(plot, opened, result, at, force=force)
+    text: list[str | Command | pl.DataFrame] = [*_story(opened, at), "", *_heat(result, at)]
+    emit(frame, "mapreplay.whatif/1", form, output, text=text, force=force)
+
+
+def _values(option: str, text: str) -> list[float]:
+    """The thresholds that an option stands for."""
+    import numpy as np
+
+    first, *rest = text.split(":")
+    try:
+        low = float(first)
+        high = float(rest[0]) if rest else low
+        count = int(rest[1]) if len(rest) > 1 else COUNT if rest else 1
+        if len(rest) > 2 or not 0 < low <= high <= 1 or not 1 <= count <= MAX_COUNT:
+            raise ValueError
+    except ValueError:
+        raise UsageError(
+            f"{option} {text}: expected a threshold, or FIRST:LAST[:COUNT] with 0 < FIRST <= LAST "
+            f"<= 1 and at most {MAX_COUNT} of them, such as .5:.99:20"
+        ) from None
+    return sorted(set(np.linspace(low, high, count).round(6).tolist()))
+
+
+def _story(log: EpisodeLog, step: int) -> list[str | Command | pl.DataFrame]:
+    """What the logged thresholds meant, and which would have left a way on."""
+    from mapreplay.analysis.whatif import release, what_if
+
+    config = log.header.at(step).config
+    as_logged = what_if(log, [config.delta_free], [config.delta_occupied])
+    course = as_logged.course(0, 0)
+    lines: list[str | Command | pl.DataFrame] = [
+        "Open loop: trajectory, observations and predictions stay as they were logged.",
+        (
+            f"As logged (delta_free {config.delta_free}, delta_occupied {config.delta_occupied}): "
+            f"F1 {as_logged.f1[step, 0, 0]:.3f}, coverage {as_logged.coverage[step, 0, 0]:.3f}, "
+            f"correct {as_logged.correct[step, 0, 0]:.3f} at step {step}."
+        ),
+    ]
+    if course.sealed is None:
+        return [*lines, "The agent is never sealed in by these."]
+    until = "" if course.released is None else f", released at step {course.released}"
+    lines.append(f"It is sealed in at step {course.sealed}{until}.")
+    found = release(log, course.sealed, [k / (FINE + 1) for k in range(1, FINE + 2)])
+    ways = [
+        f"{name} of {value} or more"
+        for name, value in (
+            ("delta_occupied", found.delta_occupied), ("delta_free", found.delta_free),
+        )
+        if value is not None
+    ]  # fmt: skip
+    if not ways:
+        return [*lines, "No other single threshold would have left a way on there."]
+    lines.append(f"A {' or a '.join(ways)}, the other as it was, would have left a way on there.")
+    name, value = (
+        ("delta-occupied", found.delta_occupied)
+        if found.delta_occupied is not None
+        else ("delta-free", found.delta_free)
+    )
+    lines.append("Run it on with that, closed loop:")
+    lines.append(
+        Command(["mapreplay", "branch", str(log.path), "--at", str(course.sealed),
+                 "--with", f"{name}={value}"])
+    )  # fmt: skip
+    return lines
+
+
+def _heat(result: WhatIf, step: int) -> list[str | Command | pl.DataFrame]:
+    """Scores for some of the pairs, with a mark where the agent would have been sealed in."""
+    import numpy as np
+    import polars as pl
+
+    ever = np.asarray(result.sealed.any(axis=0))
+    mark = ", x where it would have been sealed in" if ever.any() else "; never sealed in"
+    rows, shown = _some(result.delta_occupied), list[str | Command | pl.DataFrame]()
+    for name, values in (("F1", result.f1), ("Correct coverage", result.correct)):
+        columns = {"occupied/free": [f"{result.delta_occupied[j]:.3f}" for j in rows]}
+        for i in _some(result.delta_free):
+            columns[f"{result.delta_free[i]:.3f}"] = [
+                f"{values[step, i, j]:.3f}{'x' if ever[i, j] else ''}" for j in rows
+            ]
+        shown += [f"{name} at step {step}{mark}", pl.DataFrame(columns), ""]
+    return shown[:-1]
+
+
+def _some(values: tuple[float, ...]) -> list[int]:
+    """Indices of at most `COLUMNS` of them, the ends among them."""
+    count = min(COLUMNS, len(values))
+    if count == 1:
+        return [0]
+    return [round(k * (len(values) - 1) / (count - 1)) for k in range(count)]
+
+
+def _plot(path: Path, log: EpisodeLog, result: WhatIf, step: int, *, force: bool) -> None:
+    from mapreplay.analysis.figures import render
+    from mapreplay.analysis.whatif_figure import HeatMap
+
+    config = log.header.at(step).config
+    picture = HeatMap(result, step, (config.delta_free, config.delta_occupied))
+    write_file(path, render(picture, (9, 4.2), form=path.suffix[1:]), force=force)
+    note(f"drawn: {path}")
