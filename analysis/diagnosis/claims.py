@@ -1,0 +1,70 @@
+"""How often predicted probabilities are right, counted over the cells that nobody had seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Grid, Mask
+from mapreplay.mapping import dequantize
+from mapreplay.step import Step
+
+BINS: Final = 50
+"""Of P(occupied), of equal width."""
+EVERY: Final = 10
+"""Of so many steps one is counted: the cells of successive steps are nearly the same."""
+
+
+def _counts() -> npt.NDArray[np.int64]:
+    return np.zeros((2, BINS), np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Claims:
+    """Predicted cells by probability and truth."""
+
+    counts: npt.NDArray[np.int64] = field(default_factory=_counts)
+    """int64[2, BINS]: truly free and truly occupied cells in each bin of P(occupied)."""
+
+    def __add__(self, other: Claims) -> Claims:
+        return Claims(self.counts + other.counts)
+
+    def right(self, p_wall: float) -> tuple[float, int]:
+        """The share of truly occupied cells among those about as likely, and how many they are.
+
+        NaN if there are none.
+        """
+        free, occupied = self.counts[:, bin_of(p_wall)].tolist()
+        total = free + occupied
+        return (occupied / total if total else float("nan")), total
+
+
+def bin_of(p_wall: float) -> int:
+    """The bin of a probability."""
+    return min(int(p_wall * BINS), BINS - 1)
+
+
+class ClaimCounter:
+    """Takes the steps of an episode in order."""
+
+    def __init__(self, truth: Grid, region: Mask) -> None:
+        self._occupied = truth == OCCUPIED
+        self._known = region & ((truth == OCCUPIED) | (truth == FREE))
+        self._counts = _counts()
+
+    def take(self, step: Step) -> None:
+        """Count the explorable cells that were not observed, at one step of `EVERY`."""
+        if step.p_wall is None or step.index % EVERY:
+            return
+        cells = self._known & (step.observed == UNKNOWN)
+        p = dequantize(step.p_wall[cells])
+        bins = np.minimum((p * BINS).astype(np.int64), BINS - 1)
+        for row, chosen in enumerate((~self._occupied[cells], self._occupied[cells])):
+            self._counts[row] += np.bincount(bins[chosen], minlength=BINS)
+
+    def result(self) -> Claims:
+        """After the last step."""
+        return Claims(self._counts)

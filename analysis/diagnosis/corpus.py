@@ -1,0 +1,367 @@
+"""Diagnoses counted over a corpus: how often, why, at which cost, where, and how sure."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from functools import reduce
+from itertools import pairwise
+from operator import add
+from typing import Any, Final
+
+import numpy as np
+import polars as pl
+from scipy import stats
+
+from mapreplay.analysis.diagnosis.claims import Claims
+from mapreplay.analysis.diagnosis.detect import Ending, NearMissKind
+from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, Sealing
+from mapreplay.analysis.diagnosis.harms import HarmKind
+from mapreplay.analysis.diagnosis.taxonomy import KINDS, UNCLASSIFIED
+
+NARROW: Final = 6
+"""A place of at most so many cells' width is narrow: a door, a corridor, a closet."""
+
+
+@dataclass(frozen=True)
+class Rate:
+    """A share of episodes with its 95 % interval (Wilson)."""
+
+    count: int
+    of: int
+    low: float
+    high: float
+
+    @property
+    def share(self) -> float:
+        """NaN of nothing."""
+        return self.count / self.of if self.of else float("nan")
+
+
+def rate(count: int, of: int) -> Rate:
+    """`count` of `of`."""
+    if of == 0:
+        return Rate(0, 0, float("nan"), float("nan"))
+    interval = stats.binomtest(count, of).proportion_ci(method="wilson")
+    return Rate(count, of, float(interval.low), float(interval.high))
+
+
+@dataclass(frozen=True)
+class Group:
+    """Episodes of one kind: a row of the table of a corpus."""
+
+    by: str
+    """What they have in common: planner, predictor, thresholds, ..."""
+    value: str
+    episodes: int
+    sealed: Rate
+    """Those that were sealed in at least once."""
+    final: int
+    """Those that never got out."""
+    sealings: int
+    moves: int
+    """Made while sealed in, by all of them."""
+    coverage: float
+    """Median of the fused map's at the sealings; NaN without one."""
+    near: int
+    """Near misses that did not lead to a sealing."""
+
+
+def _wall_share(diagnosis: Diagnosis) -> str:
+    plan = diagnosis.header.floor_plan
+    if not plan.has_truth:
+        return "not known"
+    return _tenth(plan.wall_share, 0.05)
+
+
+def _tenth(value: float, width: float) -> str:
+    low = int(value / width + 1e-9) * width
+    return f"{low:.2f} to {low + width:.2f}"
+
+
+_BY: Final[dict[str, Callable[[Diagnosis], str]]] = {
+    "all": lambda _: "",
+    "planner": lambda d: d.header.config.planner,
+    "predictor": lambda d: d.header.predictor.name,
+    "delta": lambda d: f"{d.header.config.delta_occupied:g}/{d.header.config.delta_free:g}",
+    "fail-safe": lambda d: "on" if d.header.config.fail_safe else "off",
+    "wall share": _wall_share,
+}
+
+
+def groups(diagnoses: Sequence[Diagnosis]) -> list[Group]:
+    """The corpus as a whole, and by everything in which its episodes differ."""
+    rows = []
+    for by, key in _BY.items():
+        members: dict[str, list[Diagnosis]] = defaultdict(list)
+        for diagnosis in diagnoses:
+            members[key(diagnosis)].append(diagnosis)
+        if by == "all" or len(members) > 1:
+            rows += [_group(by, value, members[value]) for value in sorted(members)]
+    return rows
+
+
+def _group(by: str, value: str, members: Sequence[Diagnosis]) -> Group:
+    found = [sealing for diagnosis in members for sealing in diagnosis.sealings]
+    sealed = sum(bool(diagnosis.sealings) for diagnosis in members)
+    covered = [s.coverage for s in found if s.coverage == s.coverage]
+    return Group(
+        by=by,
+        value=value,
+        episodes=len(members),
+        sealed=rate(sealed, len(members)),
+        final=sum(any(s.is_final for s in d.sealings) for d in members),
+        sealings=len(found),
+        moves=sum(s.moves for s in found),
+        coverage=float(np.median(covered)) if covered else float("nan"),
+        near=sum(not miss.led_to_sealing for d in members for miss in d.near_misses),
+    )
+
+
+@dataclass(frozen=True)
+class KindCount:
+    """Sealings of one kind."""
+
+    kind: str
+    sealings: int
+    final: int
+    share: Rate
+    """Of all sealings."""
+    coverage: float
+    """Median at the time."""
+    culprits: float
+    """Median number."""
+    doorway: float
+    """Median width in cells."""
+    p_wall: float
+    """Median of the first culprit."""
+    threshold: float
+    """Median delta_occupied above which it would not have happened; NaN if never known."""
+    view: float
+    """Median moves to the cheapest view."""
+    fail_safe: float
+    """Median moves of the fail-safe, where it gets out."""
+
+
+def kind_counts(diagnoses: Sequence[Diagnosis]) -> list[KindCount]:
+    """One row a kind that there is, in the taxonomy's order."""
+    found = [sealing for diagnosis in diagnoses for sealing in diagnosis.sealings]
+    rows = []
+    for kind in (*(known.name for known in KINDS), UNCLASSIFIED):
+        chosen = [sealing for sealing in found if sealing.kind == kind]
+        if chosen:
+            rows.append(_kind(kind, chosen, len(found)))
+    return rows
+
+
+def _kind(kind: str, chosen: Sequence[Sealing], of: int) -> KindCount:
+    return KindCount(
+        kind=kind,
+        sealings=len(chosen),
+        final=sum(sealing.is_final for sealing in chosen),
+        share=rate(len(chosen), of),
+        coverage=_median(chosen, lambda s: s.coverage),
+        culprits=_median(chosen, lambda s: len(s.culprits.cells) if s.culprits else None),
+        doorway=_median(chosen, lambda s: s.doorway.width if s.doorway else None),
+        p_wall=_median(chosen, lambda s: s.blame[0].p_wall if s.blame else None),
+        threshold=_median(chosen, lambda s: s.remedy.delta_occupied_above),
+        view=_median(chosen, lambda s: s.remedy.view.moves if s.remedy.view else None),
+        fail_safe=_median(chosen, lambda s: s.remedy.fail_safe_moves),
+    )
+
+
+def _median(chosen: Sequence[Sealing], value: Callable[[Sealing], float | None]) -> float:
+    values = [v for s in chosen if (v := value(s)) is not None and v == v]
+    return float(np.median(values)) if values else float("nan")
+
+
+@dataclass(frozen=True)
+class Attraction:
+    """Where the agent is sealed in, beside where it is."""
+
+    feature: str
+    sealings: Rate
+    """Sealings whose culprit lies at such a place."""
+    steps: float
+    """Share of all steps at such a place."""
+
+
+def attractions(diagnoses: Sequence[Diagnosis]) -> list[Attraction]:
+    """By the true width of the place: of the passage at the culprit, of the agent's cell."""
+    places = [s.place for d in diagnoses for s in d.sealings if s.place is not None]
+    length = max((len(d.walked) for d in diagnoses), default=1)
+    walked = np.zeros(length, np.int64)
+    for diagnosis in diagnoses:
+        walked[: len(diagnosis.walked)] += diagnosis.walked
+    total = int(walked.sum())
+    rows = []
+    for low, high in ((1, 2), (3, 4), (5, NARROW), (NARROW + 1, 12), (13, length)):
+        inside = sum(low <= place.gap <= high for place in places)
+        share = int(walked[low : high + 1].sum()) / total if total else float("nan")
+        name = f"{low} to {high} cells wide" if high < length else f"{low} cells or wider"
+        rows.append(Attraction(name, rate(inside, len(places)), share))
+    return rows
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """How sure the network was of walls that sealed, beside how often such claims are right."""
+
+    low: float
+    """Of P(occupied)."""
+    high: float
+    claims: int
+    """Predicted cells of that probability, unseen and explorable, at the steps counted."""
+    right: float
+    """Share of them that are walls."""
+    sealed: int
+    """First culprits of that probability: all of them free cells."""
+
+
+def calibration(diagnoses: Sequence[Diagnosis]) -> list[Calibration]:
+    """By P(occupied), from .5 upwards."""
+    claims = corpus_claims(diagnoses)
+    culprits = np.array([s.blame[0].p_wall for d in diagnoses for s in d.sealings if s.blame])
+    edges = (0.5, 0.7, 0.8, 0.9, 0.94, 0.98, 1.0)
+    rows = []
+    for low, high in pairwise(edges):
+        first, last = round(low * claims.counts.shape[1]), round(high * claims.counts.shape[1])
+        free, occupied = claims.counts[:, first:last].sum(axis=1).tolist()
+        total = free + occupied
+        in_bin = (culprits >= low) & ((culprits < high) | (high == 1))
+        right = occupied / total if total else float("nan")
+        rows.append(Calibration(low, high, total, right, int(in_bin.sum())))
+    return rows
+
+
+def corpus_claims(diagnoses: Sequence[Diagnosis]) -> Claims:
+    """The claims of all logs together."""
+    return reduce(add, (diagnosis.claims for diagnosis in diagnoses), Claims())
+
+
+@dataclass(frozen=True)
+class HarmCount:
+    """One of the other ways in which predictions hurt."""
+
+    kind: str
+    episodes: Rate
+    """In which it happened."""
+    times: int
+    moves: int
+
+
+def harm_counts(diagnoses: Sequence[Diagnosis]) -> list[HarmCount]:
+    """Near misses, detours, oscillation and coverage that was wrong at the end."""
+    rows = []
+    for kind in NearMissKind:
+        times = [sum(m.kind is kind for m in d.near_misses) for d in diagnoses]
+        rows.append(_harm(f"near miss: {kind.replace('_', ' ')}", times, [0] * len(times)))
+    for harm in HarmKind:
+        times = [sum(h.kind is harm for h in d.harms) for d in diagnoses]
+        moves = [sum(h.moves for h in d.harms if h.kind is harm) for d in diagnoses]
+        rows.append(_harm(harm.replace("_", " "), times, moves))
+    short = [int(d.coverage is not None and d.coverage.is_short) for d in diagnoses]
+    rows.append(_harm("mapped, but not rightly", short, [0] * len(short)))
+    return rows
+
+
+def _harm(kind: str, times: Sequence[int], moves: Sequence[int]) -> HarmCount:
+    return HarmCount(kind, rate(sum(t > 0 for t in times), len(times)), sum(times), sum(moves))
+
+
+def endings(diagnoses: Sequence[Diagnosis]) -> dict[Ending, tuple[int, float, float]]:
+    """For each ending: sealings, and the median and the largest number of moves that they took."""
+    rows = {}
+    for ending in Ending:
+        moves = [s.moves for d in diagnoses for s in d.sealings if s.ending is ending]
+        if moves:
+            rows[ending] = len(moves), float(np.median(moves)), float(max(moves))
+    return rows
+
+
+def corpus_record(diagnoses: Sequence[Diagnosis]) -> dict[str, Any]:
+    """All of it as plain values."""
+
+    def plain(row: Any) -> dict[str, Any]:
+        return {key: _plain(value) for key, value in asdict(row).items()}
+
+    return {
+        "groups": [plain(row) for row in groups(diagnoses)],
+        "kinds": [plain(row) for row in kind_counts(diagnoses)],
+        "places": [plain(row) for row in attractions(diagnoses)],
+        "calibration": [plain(row) for row in calibration(diagnoses)],
+        "harms": [plain(row) for row in harm_counts(diagnoses)],
+        "endings": {
+            ending: {"sealings": count, "median_moves": median, "most_moves": most}
+            for ending, (count, median, most) in endings(diagnoses).items()
+        },
+    }
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    return None if isinstance(value, float) and value != value else value
+
+
+def sealing_frame(files: Sequence[str], diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
+    """One row a sealing, for CSV and Parquet."""
+    rows = []
+    for file, diagnosis in zip(files, diagnoses, strict=True):
+        config = diagnosis.header.config
+        for s in diagnosis.sealings:
+            view, place, doorway = s.remedy.view, s.place, s.doorway
+            rows.append(
+                {
+                    "file": file,
+                    "floor_plan": diagnosis.header.floor_plan.id,
+                    "planner": config.planner,
+                    "predictor": diagnosis.header.predictor.name,
+                    "delta_occupied": config.delta_occupied,
+                    "delta_free": config.delta_free,
+                    "fail_safe": config.fail_safe,
+                    "kind": s.kind,
+                    "step": s.first_step,
+                    "last_step": s.last_step,
+                    "ending": s.ending.value,
+                    "moves": s.moves,
+                    "coverage": s.coverage,
+                    "correct_coverage": s.correct_coverage,
+                    "inside": s.inside,
+                    "hidden": s.hidden,
+                    "culprits": len(s.culprits.cells) if s.culprits else None,
+                    "tied": len(s.culprits.tied) if s.culprits else None,
+                    "exits": s.culprits.exits if s.culprits else None,
+                    "row": int(s.culprits.cells[0][0]) if s.culprits else None,
+                    "col": int(s.culprits.cells[0][1]) if s.culprits else None,
+                    "doorway": doorway.width if doorway else None,
+                    "doorway_parts": doorway.parts if doorway else None,
+                    "gap": place.gap if place else None,
+                    "gap_length": place.length if place else None,
+                    "false_wall": place.false_wall if place else None,
+                    "distance": place.distance if place else None,
+                    "p_wall": s.blame[0].p_wall if s.blame else None,
+                    "since": s.blame[0].since if s.blame else None,
+                    "flickers": s.blame[0].flickers if s.blame else None,
+                    "delta_occupied_above": s.remedy.delta_occupied_above,
+                    "delta_free_above": s.remedy.delta_free_above,
+                    "view_moves": view.moves if view else None,
+                    "view_suffices": view.suffices if view else None,
+                    "fail_safe_moves": s.remedy.fail_safe_moves,
+                }
+            )
+    return pl.DataFrame(rows, schema=_SCHEMA).fill_nan(None)
+
+
+_TEXT, _INT, _REAL, _BOOL = pl.String, pl.Int64, pl.Float64, pl.Boolean
+_SCHEMA: Final = {
+    "file": _TEXT, "floor_plan": _TEXT, "planner": _TEXT, "predictor": _TEXT,
+    "delta_occupied": _REAL, "delta_free": _REAL, "fail_safe": _BOOL, "kind": _TEXT, "step": _INT,
+    "last_step": _INT, "ending": _TEXT, "moves": _INT, "coverage": _REAL,
+    "correct_coverage": _REAL, "inside": _INT, "hidden": _INT, "culprits": _INT, "tied": _INT,
+    "exits": _INT, "row": _INT, "col": _INT, "doorway": _INT, "doorway_parts": _INT, "gap": _INT,
+    "gap_length": _INT, "false_wall": _INT, "distance": _REAL, "p_wall": _REAL, "since": _INT,
+    "flickers": _INT, "delta_occupied_above": _REAL, "delta_free_above": _REAL,
+    "view_moves": _INT, "view_suffices": _BOOL, "fail_safe_moves": _INT,
+}  # fmt: skip

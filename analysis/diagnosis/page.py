@@ -1,0 +1,187 @@
+"""A diagnosis as a page: the maps at the sealing, the histories of the culprits, the counts."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from mapreplay.analysis.diagnosis import tables
+from mapreplay.analysis.diagnosis.corpus import corpus_claims, groups
+from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, Sealing
+from mapreplay.analysis.diagnosis.marks import sealing_marks
+from mapreplay.analysis.diagnosis.paragraph import paragraph
+from mapreplay.analysis.diagnosis.taxonomy import KINDS
+from mapreplay.analysis.page import (
+    Block,
+    Columns,
+    Command,
+    Facts,
+    Heading,
+    Items,
+    Note,
+    Page,
+    Paragraph,
+    Picture,
+    Table,
+)
+from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.marks import mark_colours
+from mapreplay.recorders.palette import DARK, LIGHT, Theme
+from mapreplay.recorders.picture import MapPainter
+from mapreplay.recorders.scene import MapView
+from mapreplay.step import Cells, Step
+
+SHOWN: Final = 3
+"""Sealings of a log that get pictures."""
+MOST: Final = 40
+"""Logs that get pictures; of more there are the counts only."""
+_SIDE: Final = 640
+"""Pixels of a map's longer side."""
+
+
+def diagnosis_page(diagnoses: Sequence[tuple[Path, Diagnosis]]) -> str:
+    """One HTML page on these logs; those that were sealed in have pictures.
+
+    Raises:
+        LogError: a log can no longer be read.
+    """
+    found = [diagnosis for _, diagnosis in diagnoses]
+    claims = corpus_claims(found)
+    whole = groups(found)[0]
+    blocks: list[Block] = []
+    if len(found) > 1:
+        blocks += _counts(found)
+    sealed = [(path, d) for path, d in diagnoses if d.sealings]
+    for path, diagnosis in sealed[:MOST]:
+        blocks.append(Heading(diagnosis.header.floor_plan.id))
+        said, _, command = paragraph(diagnosis, str(path), claims).partition(" What if: ")
+        blocks.append(Paragraph(said))
+        if command:
+            blocks.append(Command(command))
+        blocks += _pictures(path, diagnosis)
+    if len(sealed) > MOST:
+        left = len(sealed) - MOST
+        blocks.append(Note(f"{left} more logs were sealed in; their pictures are left out."))
+    others = [(path, d) for path, d in diagnoses if not d.sealings]
+    if others and len(diagnoses) <= MOST:
+        blocks.append(Heading("Never sealed in"))
+        blocks.append(Items([[paragraph(d, str(path), claims)] for path, d in others]))
+    blocks.append(Heading("What the names mean"))
+    blocks.append(Facts([(kind.name.replace("_", " "), kind.rule) for kind in KINDS]))
+    lead = (
+        f"{whole.sealed.count} of {whole.episodes} agents were sealed in by walls that their own "
+        f"prediction invented, {whole.final} of them for good."
+    )
+    return Page("Why was it sealed in?", lead, blocks, "Made by mapreplay diagnose.").html()
+
+
+def _counts(found: Sequence[Diagnosis]) -> list[Block]:
+    blocks: list[Block] = []
+    for title, frame in tables.all_tables(found):
+        if len(frame):
+            blocks.append(Heading(title, 3))
+            rows = [list(row) for row in frame.iter_rows()]
+            blocks.append(Table(frame.columns, rows))
+    return blocks
+
+
+def _pictures(path: Path, diagnosis: Diagnosis) -> list[Block]:
+    log = EpisodeLog(path)
+    agents = log.table().select("row", "col").to_numpy().astype(np.int32)
+    painter = MapPainter.of(diagnosis.header)
+    blocks: list[Block] = []
+    for sealing in diagnosis.sealings[:SHOWN]:
+        step = log[sealing.first_step]
+        track = agents[: step.index + 1]
+        maps = [
+            Picture(
+                map_png(painter, view, step, sealing, track),
+                f"{view.heading} map at step {step.index}, the culprits marked",
+                f"{view.heading}, step {step.index}",
+                pixelated=True,
+            )
+            for view in (MapView.OBSERVED, MapView.FUSED, MapView.ERROR)
+        ]
+        blocks.append(Columns(maps))
+        blocks.append(Paragraph(legend(sealing)))
+        if sealing.blame:
+            blocks.append(
+                Picture(
+                    history_svg(diagnosis, sealing, LIGHT),
+                    "P(occupied) of each culprit over the steps, with the threshold",
+                    "What the network thought of the culprits; the vertical line is the sealing",
+                    history_svg(diagnosis, sealing, DARK),
+                )
+            )
+    return blocks
+
+
+_NAMES: Final = {(240, 228, 66): "yellow", (86, 180, 233): "light blue", (0, 158, 115): "green",
+                 (230, 159, 0): "orange"}  # fmt: skip
+
+
+def legend(sealing: Sealing) -> str:
+    """What the colours of the marks mean."""
+    marks = sealing_marks(sealing)
+    colours = mark_colours(marks)
+    names = dict.fromkeys(mark.name for mark in marks)
+    said = ", ".join(f"{_NAMES.get(colours[name], 'marked')}: {name}" for name in names)
+    return (
+        f"Purple: the agent and its trail; {said}; in the error map red: false wall, blue: wall "
+        "taken for free."
+    )
+
+
+def map_png(
+    painter: MapPainter, view: MapView, step: Step, sealing: Sealing, track: Cells
+) -> bytes:
+    """A map with the marks of a sealing, as PNG."""
+    import cv2
+
+    picture = painter.draw(view, step, _SIDE, _SIDE, track=track, marks=sealing_marks(sealing))
+    done, data = cv2.imencode(".png", picture[..., ::-1])
+    if not done:
+        raise ValueError("the picture could not be encoded")
+    return bytes(data)
+
+
+def history_svg(diagnosis: Diagnosis, sealing: Sealing, theme: Theme) -> bytes:
+    """P(occupied) of each culprit over the steps, as SVG in the colours of `theme`."""
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    def rgb(colour: tuple[int, int, int]) -> tuple[float, float, float]:
+        return colour[0] / 255, colour[1] / 255, colour[2] / 255
+
+    with mpl.rc_context({"svg.hashsalt": "mapreplay", "svg.fonttype": "none"}):
+        figure = Figure(figsize=(7.5, 2.4), layout="constrained", facecolor="none")
+        axes = figure.subplots()
+        axes.set_facecolor("none")
+        for blame in sealing.blame:
+            steps = np.arange(len(blame.history))
+            name = f"({blame.cell.row}, {blame.cell.col})"
+            axes.plot(steps, blame.history, drawstyle="steps-post", label=name)
+            seen = blame.seen_at
+            if seen is not None:
+                axes.plot([seen], [blame.history[seen]], "o", color=rgb(theme.ink))
+        high = float(diagnosis.header.at(sealing.first_step).thresholds.occupied_at_least)
+        axes.axhline(high, color=rgb(theme.faint), linestyle=":", linewidth=1)
+        said = "taken for a wall above"
+        axes.annotate(said, (0, high), color=rgb(theme.faint), fontsize=8, va="bottom")
+        axes.axvline(sealing.first_step, color=rgb(theme.ink), linewidth=1)
+        axes.set_xlabel("step", color=rgb(theme.ink))
+        axes.set_ylabel("P(occupied)", color=rgb(theme.ink))
+        axes.set_ylim(-0.03, 1.06)
+        axes.set_xlim(0, max(1, len(sealing.blame[0].history) - 1))
+        axes.tick_params(colors=rgb(theme.faint))
+        for side in axes.spines.values():
+            side.set_color(rgb(theme.line))
+        if len(sealing.blame) > 1:
+            axes.legend(frameon=False, labelcolor=rgb(theme.ink), fontsize=8)
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
+        return buffer.getvalue()

@@ -1,0 +1,150 @@
+"""The counts of a corpus as tables for 80 columns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import polars as pl
+
+from mapreplay.analysis.diagnosis import corpus
+from mapreplay.analysis.diagnosis.corpus import Rate
+from mapreplay.analysis.diagnosis.diagnosis import Diagnosis
+
+
+def groups_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
+    """By everything in which the episodes differ."""
+    return pl.DataFrame(
+        [
+            {
+                "episodes": row.by if row.by == "all" else f"{row.by} {row.value}",
+                "n": row.episodes,
+                "in": row.sealed.count,
+                "share": percent(row.sealed.share),
+                "95 %": interval(row.sealed),
+                "for good": row.final,
+                "times": row.sealings,
+                "moves": row.moves,
+                "cover": row.coverage,
+            }
+            for row in corpus.groups(diagnoses)
+        ]
+    )
+
+
+def kinds_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
+    """By what happened."""
+    return pl.DataFrame(
+        [
+            {
+                "kind": row.kind.replace("_", " "),
+                "n": row.sealings,
+                "share": percent(row.share.share),
+                "cover": row.coverage,
+                "walls": count(row.culprits),
+                "door": count(row.doorway),
+                "P": row.p_wall,
+                "delta>": row.threshold,
+                "view": count(row.view),
+                "fail-safe": count(row.fail_safe),
+            }
+            for row in corpus.kind_counts(diagnoses)
+        ]
+    )
+
+
+def endings_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
+    """By what ended a sealing."""
+    return pl.DataFrame(
+        [
+            {
+                "ended by": ending.replace("_", " "),
+                "sealings": times,
+                "median moves": count(median),
+                "most": count(most),
+            }
+            for ending, (times, median, most) in corpus.endings(diagnoses).items()
+        ]
+    )
+
+
+def places_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
+    """Where culprits lie, and where agents are."""
+    return pl.DataFrame(
+        [
+            {
+                "place": row.feature,
+                "sealings": row.sealings.count,
+                "share": percent(row.sealings.share),
+                "95 %": interval(row.sealings),
+                "share of all steps": percent(row.steps),
+            }
+            for row in corpus.attractions(diagnoses)
+            if row.sealings.of
+        ]
+    )
+
+
+def calibration_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
+    """How sure the network was of what sealed."""
+    return pl.DataFrame(
+        [
+            {
+                "P(occupied)": f"{row.low:g} to {row.high:g}",
+                "predicted cells": row.claims,
+                "truly walls": percent(row.right),
+                "first culprits": row.sealed,
+            }
+            for row in corpus.calibration(diagnoses)
+            if row.claims or row.sealed
+        ]
+    )
+
+
+def harms_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
+    """Near misses, detours, oscillation, wrong coverage."""
+    return pl.DataFrame(
+        [
+            {
+                "what": row.kind,
+                "episodes": row.episodes.count,
+                "share": percent(row.episodes.share),
+                "95 %": interval(row.episodes),
+                "times": row.times,
+                "moves": row.moves,
+            }
+            for row in corpus.harm_counts(diagnoses)
+        ]
+    )
+
+
+def percent(share: float) -> str:
+    """A share in percent; a dash where it is undefined."""
+    return "-" if share != share else f"{100 * share:.1f} %"
+
+
+def interval(rate: Rate) -> str:
+    """Its 95 % interval, in percent."""
+    return "-" if rate.low != rate.low else f"{100 * rate.low:.1f} to {100 * rate.high:.1f}"
+
+
+def count(value: float) -> str:
+    """A median of whole numbers."""
+    return "-" if value != value else f"{value:g}"
+
+
+def all_tables(diagnoses: Sequence[Diagnosis]) -> list[tuple[str, pl.DataFrame]]:
+    """Every table with its title, in the order in which they are shown."""
+    return [
+        ("Sealed in", groups_table(diagnoses)),
+        ("Why, and what would have helped (medians)", kinds_table(diagnoses)),
+        ("How it ended", endings_table(diagnoses)),
+        (
+            "Where: true width of the passage, beside where the agents walked",
+            places_table(diagnoses),
+        ),
+        (
+            "How sure: predicted walls that sealed, and all predictions",
+            calibration_table(diagnoses),
+        ),
+        ("Otherwise", harms_table(diagnoses)),
+    ]

@@ -1,0 +1,179 @@
+"""`mapreplay diagnose`: why was the agent sealed in?"""
+
+from __future__ import annotations
+
+import sys
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mapreplay.cli.logs import PathsArgument, WhereOption, choose
+from mapreplay.cli.output import (
+    LOST,
+    ForceOption,
+    Format,
+    FormatOption,
+    OutputOption,
+    emit,
+    note,
+    write_file,
+)
+from mapreplay.errors import LogError, MapreplayError, UsageError
+
+if TYPE_CHECKING:
+    from mapreplay.analysis.diagnosis.diagnosis import Diagnosis
+
+FEW = 10
+"""Logs of which each gets its paragraph; of more only the tables are shown."""
+WIDTH = 80
+
+
+def diagnose(
+    paths: PathsArgument,
+    where: WhereOption = None,
+    html: Annotated[
+        Path | None, typer.Option(help="Write a page with maps and probability histories.")
+    ] = None,
+    save: Annotated[
+        bool,
+        typer.Option("--save/--no-save", help="Put each diagnosis beside its log, as JSON."),
+    ] = True,
+    form: FormatOption = Format.TABLE,
+    output: OutputOption = None,
+    force: ForceOption = False,
+) -> None:
+    """Explain every agent that its own predicted map sealed in.
+
+    Which cells, since when, from which evidence, and what would have helped; also near misses,
+    detours and wrong coverage. One log gets a paragraph, many get tables.
+    """
+    form = _form(form, output)
+    from mapreplay.analysis.diagnosis.corpus import corpus_claims, sealing_frame
+
+    diagnoses, lost = _diagnose(paths, where)
+    if not diagnoses:
+        note("no log to diagnose")
+        return
+    found = list(diagnoses.values())
+    if save:
+        _save(diagnoses)
+    if html is not None:
+        from mapreplay.analysis.diagnosis.page import diagnosis_page
+
+        page = diagnosis_page([(Path(file), d) for file, d in diagnoses.items()])
+        write_file(html, page.encode(), force=force)
+        note(f"written: {html}")
+    if form in (Format.CSV, Format.PARQUET):
+        emit(
+            sealing_frame(list(diagnoses), found), "mapreplay.sealings/1", form, output, force=force
+        )
+    elif form is Format.JSON:
+        _emit_json(diagnoses, output, force=force)
+    else:
+        claims = corpus_claims(found)
+        if len(diagnoses) <= FEW:
+            from mapreplay.analysis.diagnosis.paragraph import paragraph
+
+            texts = [paragraph(d, file, claims) for file, d in diagnoses.items()]
+            typer.echo("\n\n".join(_wrapped(text) for text in texts))
+        if len(diagnoses) > 1:
+            _print_tables(found)
+        if len(diagnoses) > FEW:
+            note("a paragraph on one of them: mapreplay diagnose LOG")
+    if lost:
+        raise typer.Exit(LOST)
+
+
+def _form(form: Format, output: Path | None) -> Format:
+    """How the result is written; text goes to stdout only."""
+    if output is None:
+        return form
+    known = {".json": Format.JSON, ".csv": Format.CSV, ".parquet": Format.PARQUET}
+    if form is Format.TABLE:
+        if output.suffix not in known:
+            raise UsageError(f"-o {output}: ends in none of {', '.join(known)}; or use --html")
+        return known[output.suffix]
+    return form
+
+
+def _diagnose(paths: list[Path], where: list[str] | None) -> tuple[dict[str, Diagnosis], int]:
+    """The diagnoses by file, and how many logs could not be read or were cut short."""
+    from mapreplay.analysis.diagnosis.diagnosis import diagnose as diagnose_log
+    from mapreplay.cli.progress import progress_bar
+    from mapreplay.recorders.log import EpisodeLog
+
+    rows, lost = choose(paths, where)
+    diagnoses: dict[str, Diagnosis] = {}
+    problems = []
+    with progress_bar() as bar:
+        task = bar.add_task("logs", total=len(rows))
+        for row in rows:
+            try:
+                log = EpisodeLog(Path(row.file))
+                diagnoses[row.file] = diagnose_log(log)
+                lost += not log.finished
+            except MapreplayError as error:
+                problems.append(str(error))
+            bar.advance(task)
+    if problems and not diagnoses:
+        raise LogError(problems[0])
+    for problem in problems:
+        note(f"not diagnosed: {problem}")
+    return diagnoses, lost + len(problems)
+
+
+def _save(diagnoses: dict[str, Diagnosis]) -> None:
+    """Beside each log; a folder that cannot be written to is named once."""
+    from mapreplay.analysis.diagnosis.record import record_of, save_beside
+
+    problems = []
+    for file, diagnosis in diagnoses.items():
+        try:
+            save_beside(Path(file), record_of(diagnosis))
+        except LogError as error:
+            problems.append(str(error))
+    if problems:
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        note(f"not saved: {problems[0]}{more}")
+
+
+def _emit_json(diagnoses: dict[str, Diagnosis], output: Path | None, *, force: bool) -> None:
+    from mapreplay.analysis.diagnosis.corpus import corpus_claims, corpus_record
+    from mapreplay.analysis.diagnosis.record import record_of, to_json
+
+    found = list(diagnoses.values())
+    claims = corpus_claims(found)
+    records = [{"file": file} | record_of(d, claims) for file, d in diagnoses.items()]
+    if len(records) == 1:
+        data = to_json(records[0])
+    else:
+        data = to_json(
+            {
+                "schema": "mapreplay.diagnoses/1",
+                "logs": records,
+                "corpus": corpus_record(found),
+            }
+        )
+    if output is not None:
+        write_file(output, data, force=force)
+    else:
+        sys.stdout.buffer.write(data)
+        sys.stdout.buffer.flush()
+
+
+def _wrapped(text: str) -> str:
+    """For a terminal; a command at the end stands on a line of its own, to be copied."""
+    said, what_if, command = text.partition(" What if: ")
+    lines = textwrap.fill(said, WIDTH, break_long_words=False, break_on_hyphens=False)
+    return f"{lines}\n  What if: {command}" if what_if else lines
+
+
+def _print_tables(found: list[Diagnosis]) -> None:
+    from mapreplay.analysis.diagnosis.tables import all_tables
+
+    for title, frame in all_tables(found):
+        if len(frame):
+            typer.echo(f"\n{title}")
+            emit(frame, "", Format.TABLE)
