@@ -20,6 +20,7 @@ VERBS = [
     "info",
     "metrics",
     "branch",
+    "diagnose",
     "diff",
     "whatif",
     "verify",
