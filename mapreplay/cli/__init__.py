@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from contextlib import suppress
 from typing import Annotated, NoReturn
 
 import typer
@@ -77,7 +78,12 @@ def main() -> None:
     except KeyboardInterrupt:
         # Ctrl-C can come twice: Polars raises it, and then Python does. Once is enough.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-        _fail("interrupted", INTERRUPTED)
+        print("mapreplay: interrupted", file=sys.stderr)
+        with suppress(OSError):
+            sys.stdout.flush()
+        # Not sys.exit: where the interrupt passed through an exec of ours or a library's, Python
+        # remembers it as unhandled, and ends by killing itself instead of with our code.
+        os._exit(INTERRUPTED)
 
 
 def _run() -> None:
