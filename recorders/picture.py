@@ -44,7 +44,7 @@ Picture: TypeAlias = npt.NDArray[np.uint8]
 
 _SHIFT: Final = 4
 """OpenCV's coordinates are fixed-point numbers with so many bits behind the point."""
-_WHOLE_FROM: Final = 4.0
+_WHOLE_FROM: Final = 12.0
 """Cells of at least so many pixels are drawn with a whole number of them."""
 
 
@@ -119,7 +119,7 @@ class MapPainter:
         if view is MapView.OBSERVED:
             self._draw_rays(canvas, step)
         if view is MapView.FUSED:
-            canvas.discs(step.frontier, 0.3, FRONTIER_COLOUR)
+            canvas.discs(step.frontier, 0.4, FRONTIER_COLOUR)
         if view in (MapView.FUSED, MapView.ERROR, MapView.TRUTH):
             self._draw_marks(canvas, step, marks)
         if track is not None:
@@ -140,9 +140,9 @@ class MapPainter:
         decision = step.decision
         if decision is None:
             return
-        for rival in decision.rivals:
-            canvas.ring(rival.cell, RIVALS_COLOUR, 4.0)
         canvas.line(decision.path, PLAN_COLOUR, 1.8)
+        rivals = np.array([rival.cell for rival in decision.rivals], np.int32).reshape(-1, 2)
+        canvas.discs(rivals, 0.45, RIVALS_COLOUR)
         canvas.dot(decision.target, PLAN_COLOUR, 4.0)
 
     @staticmethod
@@ -172,7 +172,7 @@ class _Canvas:
         self._scale = scale
         self._rows = rows
         # Lines of a small picture would hide its cells, those of a large one be lost.
-        self._unit = min(2.5, max(0.6, max(picture.shape[:2]) / 440))
+        self._unit = min(3.0, max(0.8, max(picture.shape[:2]) / 340))
 
     def _points(self, cells: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
         """Where the centres of cells lie, in OpenCV's fixed-point pixels."""
@@ -198,11 +198,6 @@ class _Canvas:
         ((x, y),) = self._points(np.array([cell])).tolist()
         self._circle((x, y), (radius + 1.0) * self._unit, (255, 255, 255), cv2.FILLED)
         self._circle((x, y), radius * self._unit, colour, cv2.FILLED)
-
-    def ring(self, cell: Sequence[int], colour: Colour, radius: float) -> None:
-        """The edge of a disc of so many units of the screen."""
-        ((x, y),) = self._points(np.array([cell])).tolist()
-        self._circle((x, y), radius * self._unit, colour, max(1, round(1.2 * self._unit)))
 
     def boxes(self, cells: Cells, colour: Colour) -> None:
         """The cells filled, with a dark edge, and no smaller than a dot."""

@@ -11,29 +11,31 @@ import numpy.typing as npt
 import rerun as rr
 
 from mapreplay.floorplan import explorable
-from mapreplay.recorders.palette import (
-    AGENT_COLOUR,
-    CELL_COLOURS,
-    CURVE_COLOURS,
-    FRONTIER_COLOUR,
-    PLAN_COLOUR,
-    RAYS_COLOUR,
-    CellClass,
-)
+from mapreplay.recorders import rerun_static
+from mapreplay.recorders.marks import Mark, mark_colours
+from mapreplay.recorders.palette import State
+from mapreplay.recorders.replay import Replay
 from mapreplay.recorders.rerun_layout import TIMELINE, Entity, curve_path
 from mapreplay.recorders.scene import (
+    COMPARED,
     cell_classes,
     curves,
+    decision_words,
     display_probability,
     error_classes,
+    event_words,
+    has_truth,
     rays_of,
+    state_of,
+    three_digits,
 )
-from mapreplay.step import EpisodeHeader, EventKind, Step
+from mapreplay.step import Candidate, EpisodeHeader, EventKind, Step, StepProfile
 
 BLOCK_STEPS: Final = 100
-BLOCK_BYTES: Final = 32 << 20
+BLOCK_BYTES: Final = 16 << 20
 """Of all pictures of a block of steps together."""
 _PICTURES: Final = 4
+_STAGES: Final = ("sense", "predict", "fuse", "score", "plan")
 
 _EVENT_LEVELS: Final = {
     EventKind.SEALED_IN: rr.TextLogLevel.WARN,
@@ -46,148 +48,246 @@ _EVENT_LEVELS: Final = {
 Points = npt.NDArray[np.float32]
 """float32[n, 2]: x to the right and y downwards, in cells from the top left of a picture."""
 
+Pictures = npt.NDArray[np.uint8]
+"""uint8[n, H * W]: n pictures of one byte a cell, row 0 on top."""
+
 
 def send_episode(
-    recording: rr.RecordingStream, header: EpisodeHeader, steps: Iterable[Step], root: str = ""
+    recording: rr.RecordingStream, replay: Replay, root: str = "", name: str = ""
 ) -> None:
     """Send a whole episode, in blocks of steps, so that memory stays bounded.
 
     Args:
         recording: where to.
-        header: of the episode.
-        steps: in order, from the first.
+        replay: the episode; its steps are read.
         root: "" or "/..." without a slash at its end: two episodes in one recording need two
             roots, and then share the timeline.
+        name: of the episode, where several are shown together.
     """
-    columns = EpisodeColumns(recording, header, root)
-    height, width = header.floor_plan.shape
+    columns = EpisodeColumns(recording, replay.header, root, name)
+    height, width = replay.header.floor_plan.shape
     size = max(1, min(BLOCK_STEPS, BLOCK_BYTES // (_PICTURES * height * width)))
-    for block in _blocks(steps, size):
+    for block in _blocks(replay.steps, size):
         columns.send(block)
+    columns.send_marks(replay.marks)
+
+
+def send_scores(recording: rr.RecordingStream, replay: Replay, root: str, name: str) -> None:
+    """Send only the curves of an episode that is shown together with others."""
+    for curve in COMPARED:
+        values = replay.scores[curve]
+        path = curve_path(curve, root)
+        recording.log(path, rerun_static.compared_curve(root, name), static=True)
+        index = rr.TimeColumn(TIMELINE, sequence=np.arange(len(values)))
+        recording.send_columns(path, [index], rr.Scalars.columns(scalars=values))
 
 
 class EpisodeColumns:
     """Sends the steps of one episode to a recording, block by block, in order.
 
-    What holds for the whole episode is sent when this is made.
+    What holds for the whole episode is sent when this is made. What stays the same from one
+    step to the next is sent once: the viewer shows the newest that it has.
     """
 
     def __init__(
-        self, recording: rr.RecordingStream, header: EpisodeHeader, root: str = ""
+        self, recording: rr.RecordingStream, header: EpisodeHeader, root: str = "", name: str = ""
     ) -> None:
         self._recording = recording
         self._header = header
         self._root = root
+        self._speaker = f"{name[:1]}: " if name else ""
+        self._curves = COMPARED if name else curves(header)
         self._explorable = explorable(header.floor_plan.cells, header.start)
         self._trail_end: Points = np.empty((0, 2), np.float32)
-        self._send_static()
+        self._shown: dict[Entity, npt.NDArray[np.uint8]] = {}
+        self._state: State | None = None
+        self._last_step = 0
+        truth = as_pictures([cell_classes(header.floor_plan.cells)])[0]
+        rerun_static.send_static(recording, header, root, name, truth)
 
     def send(self, steps: Sequence[Step]) -> None:
         """Send the next steps; one column each, whatever their number."""
-        index = rr.TimeColumn(TIMELINE, sequence=[step.index for step in steps])
-        self._send_maps(index, steps)
+        index = _index([step.index for step in steps])
+        self._send_maps(steps)
         self._send_agent(index, steps)
         self._send_plan(index, steps)
-        for curve in curves(self._header):
+        for curve in self._curves:
             values = [getattr(step.metrics, curve.value) for step in steps]
-            self._send(curve_path(curve, self._root), index, rr.Scalars.columns(scalars=values))
-        self._send_events(steps)
+            path = curve_path(curve, self._root)
+            self._recording.send_columns(path, [index], rr.Scalars.columns(scalars=values))
+        self._send_profile(steps)
+        self._send_state(steps)
+        self._send_words(index, steps)
+        self._last_step = steps[-1].index
 
-    def _send(self, path: str, index: rr.TimeColumn, columns: rr.ComponentColumnList) -> None:
-        self._recording.send_columns(path, [index], columns)
+    def send_marks(self, marks: Sequence[Mark]) -> None:
+        """Send the marks, when all steps are sent: each is taken away after its last step."""
+        height = self._header.floor_plan.shape[0]
+        colours = mark_colours(marks)
+        for number, mark in enumerate(marks):
+            if mark.first_step > self._last_step:
+                continue  # it would make the timeline longer than the episode
+            path = f"{Entity.MARKS.below(self._root)}/{number}"
+            self._recording.log(
+                path, rerun_static.mark_style(mark, colours[mark.name]), static=True
+            )
+            counts, at = [len(mark.cells)], [max(0, mark.first_step)]
+            if mark.last_step < self._last_step:
+                counts.append(0)
+                at.append(mark.last_step + 1)
+            boxes = rr.Boxes2D.columns(
+                centers=centres(mark.cells, height),
+                half_sizes=np.full((len(mark.cells), 2), 0.5, np.float32),
+            )
+            self._recording.send_columns(path, [_index(at)], boxes.partition(counts))
 
-    def _send_maps(self, index: rr.TimeColumn, steps: Sequence[Step]) -> None:
+    def _send(self, entity: Entity, index: rr.TimeColumn, columns: rr.ComponentColumnList) -> None:
+        self._recording.send_columns(entity.below(self._root), [index], columns)
+
+    def _send_maps(self, steps: Sequence[Step]) -> None:
         truth = self._header.floor_plan.cells
-        for entity, classes in (
-            (Entity.OBSERVED, [cell_classes(step.observed) for step in steps]),
-            (Entity.FUSED, [cell_classes(step.fused) for step in steps]),
-            (Entity.ERROR, [error_classes(step.fused, truth, self._explorable) for step in steps]),
-        ):
-            columns = rr.SegmentationImage.columns(buffer=as_pictures(classes))
-            self._send(entity.below(self._root), index, columns)
-        predictions = [step.p_wall for step in steps]
-        shown = [display_probability(p_wall) for p_wall in predictions if p_wall is not None]
-        if shown:
-            buffer = rr.DepthImage.columns(buffer=as_pictures(shown))
-            columns = buffer.partition([int(p_wall is not None) for p_wall in predictions])
-            self._send(Entity.PREDICTED.below(self._root), index, columns)
+        maps = {
+            Entity.OBSERVED: [cell_classes(step.observed) for step in steps],
+            Entity.FUSED: [cell_classes(step.fused) for step in steps],
+        }
+        if has_truth(self._header):
+            maps[Entity.ERROR] = [
+                error_classes(step.fused, truth, self._explorable) for step in steps
+            ]
+        for entity, classes in maps.items():
+            pictures = as_pictures(classes)
+            new = self._changed(entity, pictures)
+            if len(new):
+                index = _index([steps[i].index for i in new])
+                columns = rr.SegmentationImage.columns(buffer=pictures[new])
+                self._send(entity, index, columns)
+        self._send_prediction(steps)
+
+    def _send_prediction(self, steps: Sequence[Step]) -> None:
+        """A step without a prediction takes back the last one."""
+        nothing = np.empty(0, np.uint8)
+        shown = self._shown.get(Entity.PREDICTED, nothing)
+        pictures, at, counts = [], [], []
+        for step in steps:
+            p_wall = step.p_wall
+            picture = nothing if p_wall is None else display_probability(p_wall)[::-1].ravel()
+            if not np.array_equal(picture, shown):
+                at.append(step.index)
+                counts.append(int(picture.size > 0))
+                pictures += [picture] * counts[-1]
+            shown = picture
+        self._shown[Entity.PREDICTED] = shown
+        if at:
+            shape = (len(pictures), self._header.floor_plan.cells.size)
+            buffer = np.array(pictures, np.uint8).reshape(shape)
+            columns = rr.DepthImage.columns(buffer=buffer).partition(counts)
+            self._send(Entity.PREDICTED, _index(at), columns)
+
+    def _changed(self, entity: Entity, pictures: Pictures) -> npt.NDArray[np.intp]:
+        """Which of the pictures are not as the one before."""
+        changed = np.empty(len(pictures), np.bool_)
+        before = self._shown.get(entity)
+        changed[0] = before is None or (pictures[0] != before).any()
+        changed[1:] = (pictures[1:] != pictures[:-1]).any(axis=1)
+        self._shown[entity] = pictures[-1].copy()
+        return np.flatnonzero(changed)
 
     def _send_agent(self, index: rr.TimeColumn, steps: Sequence[Step]) -> None:
         height = self._header.floor_plan.shape[0]
         agents = centres(np.array([step.agent for step in steps]), height)
-        self._send(Entity.AGENT.below(self._root), index, rr.Points2D.columns(positions=agents))
+        self._send(Entity.AGENT, index, rr.Points2D.columns(positions=agents))
 
         poses = np.concatenate([self._trail_end, agents])
         moves = np.stack([poses[:-1], poses[1:]], axis=1)
         first = [0] * (len(steps) - len(moves))  # the first step has no move
         trail = rr.LineStrips2D.columns(strips=moves).partition([*first, *[1] * len(moves)])
-        self._send(Entity.TRAIL.below(self._root), index, trail)
+        self._send(Entity.TRAIL, index, trail)
         self._trail_end = agents[-1:]
 
-        rays = np.concatenate([ray_strips(step, self._header) for step in steps])
-        columns = rr.LineStrips2D.columns(strips=rays)
-        columns = columns.partition([len(step.hits) for step in steps])
-        self._send(Entity.RAYS.below(self._root), index, columns)
+        rays = [rays_of(step, self._header) for step in steps]
+        ends = centres(np.concatenate([ray.ends for ray in rays]), height)
+        counts = [len(ray.ends) for ray in rays]
+        strips = np.stack([np.repeat(agents, counts, axis=0), ends], axis=1)
+        columns = rr.LineStrips2D.columns(strips=strips).partition(counts)
+        self._send(Entity.RAYS, index, columns)
+        hit = np.concatenate([ray.hit for ray in rays])
+        columns = rr.Points2D.columns(positions=ends[hit])
+        self._send(Entity.HITS, index, columns.partition([int(ray.hit.sum()) for ray in rays]))
 
     def _send_plan(self, index: rr.TimeColumn, steps: Sequence[Step]) -> None:
         height = self._header.floor_plan.shape[0]
         frontier = centres(np.concatenate([step.frontier for step in steps]), height)
         columns = rr.Points2D.columns(positions=frontier)
         columns = columns.partition([len(step.frontier) for step in steps])
-        self._send(Entity.FRONTIER.below(self._root), index, columns)
+        self._send(Entity.FRONTIER, index, columns)
 
         decisions = [step.decision for step in steps]
         decided = [int(decision is not None) for decision in decisions]
         paths = [centres(decision.path, height) for decision in decisions if decision]
         strips = rr.LineStrips2D.columns(strips=paths).partition(decided)
-        self._send(Entity.PATH.below(self._root), index, strips)
-        targets = np.array([path[-1] for path in paths], np.float32).reshape(-1, 2)
-        points = rr.Points2D.columns(positions=targets).partition(decided)
-        self._send(Entity.TARGET.below(self._root), index, points)
+        self._send(Entity.PATH, index, strips)
+        targets = [decision.chosen for decision in decisions if decision]
+        self._send_candidates(Entity.TARGET, index, targets, decided)
+        rivals = [decision.rivals if decision else () for decision in decisions]
+        counts = [len(some) for some in rivals]
+        self._send_candidates(Entity.RIVALS, index, [r for some in rivals for r in some], counts)
 
-    def _send_events(self, steps: Sequence[Step]) -> None:
+    def _send_candidates(
+        self,
+        entity: Entity,
+        index: rr.TimeColumn,
+        candidates: Sequence[Candidate],
+        counts: Sequence[int],
+    ) -> None:
+        height = self._header.floor_plan.shape[0]
+        cells = np.array([c.cell for c in candidates], np.int32).reshape(-1, 2)
+        points = rr.Points2D.columns(
+            positions=centres(cells, height),
+            labels=[f"utility {three_digits(candidate.utility)}" for candidate in candidates],
+        )
+        self._send(entity, index, points.partition(counts))
+
+    def _send_profile(self, steps: Sequence[Step]) -> None:
+        times: list[tuple[int, StepProfile]] = [
+            (step.index, step.profile) for step in steps if step.profile
+        ]
+        if not times:
+            return
+        index = _index([i for i, _ in times])
+        stages = {s: [getattr(profile, s) / 1e6 for _, profile in times] for s in _STAGES}
+        stages["total"] = np.sum(list(stages.values()), axis=0).tolist()
+        for stage, values in stages.items():
+            path = f"{Entity.STAGES.below(self._root)}/{stage}"
+            self._recording.send_columns(path, [index], rr.Scalars.columns(scalars=values))
+
+    def _send_state(self, steps: Sequence[Step]) -> None:
+        at, changes = [], []
+        for step in steps:
+            state = state_of(step)
+            if state is not self._state:
+                at.append(step.index)
+                changes.append(str(state))
+            self._state = state
+        if at:
+            self._send(Entity.STATE, _index(at), rr.StateChange.columns(state=changes))
+
+    def _send_words(self, index: rr.TimeColumn, steps: Sequence[Step]) -> None:
+        texts = [decision_document(step) for step in steps]
+        self._send(Entity.DECISION, index, rr.TextDocument.columns(text=texts))
         events = [(step.index, event) for step in steps for event in step.events]
         if events:
-            index = rr.TimeColumn(TIMELINE, sequence=[i for i, _ in events])
             columns = rr.TextLog.columns(
-                text=[f"step {i}, {event.kind}: {event.text}" for i, event in events],
+                text=[self._speaker + event_words(event) for _, event in events],
                 level=[_EVENT_LEVELS[event.kind] for _, event in events],
             )
-            self._send(Entity.EVENTS.below(self._root), index, columns)
-
-    def _send_static(self) -> None:
-        height, width = self._header.floor_plan.shape
-        picture = rr.components.ImageFormat(
-            width=width, height=height, color_model="L", channel_datatype="U8"
-        )
-        truth = as_pictures([cell_classes(self._header.floor_plan.cells)])
-        line, cells = rr.LineStrips2D.from_fields, rr.SegmentationImage.from_fields
-        entities: dict[Entity, rr.AsComponents] = {
-            Entity.MAPS: rr.AnnotationContext([(c, c.label, CELL_COLOURS[c]) for c in CellClass]),
-            Entity.TRUTH: cells(buffer=truth[0], format=picture, opacity=1.0),
-            Entity.OBSERVED: cells(format=picture, opacity=1.0),
-            Entity.FUSED: cells(format=picture, opacity=1.0),
-            Entity.ERROR: cells(format=picture, opacity=1.0),
-            Entity.PREDICTED: rr.DepthImage.from_fields(
-                format=picture, colormap="viridis", depth_range=[0, 255], meter=255.0
-            ),
-            # A negative radius is in points of the screen, so that it is seen on any map.
-            Entity.RAYS: line(colors=[RAYS_COLOUR], radii=[-0.6]),
-            Entity.TRAIL: line(colors=[AGENT_COLOUR], radii=[-1.2]),
-            Entity.AGENT: rr.Points2D.from_fields(colors=[AGENT_COLOUR], radii=[-4.5]),
-            Entity.FRONTIER: rr.Points2D.from_fields(colors=[FRONTIER_COLOUR], radii=[0.3]),
-            Entity.PATH: line(colors=[PLAN_COLOUR], radii=[-1.2]),
-            Entity.TARGET: rr.Points2D.from_fields(colors=[PLAN_COLOUR], radii=[-4.5]),
-            Entity.HEADER: rr.TextDocument(describe(self._header), media_type="text/markdown"),
-        }
-        for entity, components in entities.items():
-            self._recording.log(entity.below(self._root), components, static=True)
-        for curve in curves(self._header):
-            style = rr.SeriesLines(colors=[CURVE_COLOURS[curve]], names=[curve.label], widths=[2.0])
-            self._recording.log(curve_path(curve, self._root), style, static=True)
+            self._send(Entity.EVENTS, _index([i for i, _ in events]), columns)
 
 
-def as_pictures(grids: Sequence[npt.NDArray[np.uint8]]) -> npt.NDArray[np.uint8]:
+def _index(steps: Sequence[int]) -> rr.TimeColumn:
+    return rr.TimeColumn(TIMELINE, sequence=steps)
+
+
+def as_pictures(grids: Sequence[npt.NDArray[np.uint8]]) -> Pictures:
     """uint8[n, H * W]: grids uint8[H, W] as images, whose row 0 is on top.
 
     With `centres`, the one place where y is turned over: row r of a grid of height H is row
@@ -202,43 +302,21 @@ def centres(cells: npt.NDArray[np.integer], height: int) -> Points:
     return np.stack([cols + 0.5, height - 1 - rows + 0.5], axis=1).astype(np.float32)
 
 
-def ray_strips(step: Step, header: EpisodeHeader) -> Points:
-    """float32[n, 2, 2]: each ray of a step from the agent to the last cell that it marked."""
-    height = header.floor_plan.shape[0]
-    ends = rays_of(step, header).ends
-    starts = np.broadcast_to(np.asarray(step.agent), ends.shape)
-    return np.stack([centres(starts, height), centres(ends, height)], axis=1)
-
-
-def describe(header: EpisodeHeader) -> str:
-    """The header and the legend, as a Markdown document."""
-    config, plan = header.config, header.floor_plan
-    height, width = plan.shape
-    rows = {
-        "floor plan": plan.id,
-        "size": f"{height} x {width} cells of {plan.resolution:g} m",
-        "start (row, col)": f"{header.start.row}, {header.start.col}",
-        "planner": config.planner,
-        "predictor": header.predictor.name,
-        "plan on / build": f"{config.plan_on} / {config.build}",
-        "fail-safe": "on" if config.fail_safe else "off",
-        "target": f"coverage {config.coverage:g} of the {config.build} map",
-        "delta free / occupied": f"{config.delta_free:g} / {config.delta_occupied:g}",
-        "sensor": f"{config.rays} rays of {config.reach} cells",
-        "seed": str(config.seed),
-        "at most": f"{header.max_steps} steps",
-        **dict(header.versions),
-    }
-    heading, *rest = (f"| {key} | {value} |" for key, value in rows.items())
-    return "\n".join([_LEGEND, "", heading, "|---|---|", *rest, ""])
-
-
-_LEGEND: Final = """\
-- **Maps**: free white, wall black, unknown grey
-- **P(wall)**: 0 violet, 1 yellow
-- **Error**: false wall red, false free light blue, not explorable slate; else as in the maps
-- **Agent** and trail pink, rays blue, frontier orange, path and target green\
-"""
+def decision_document(step: Step) -> str:
+    """What the agent decided at a step, in Markdown: a sentence, and the best candidates."""
+    lines = [f"**Step {step.index}: {state_of(step)}**", "", decision_words(step)]
+    decision = step.decision
+    if decision is not None and decision.rivals:
+        lines += ["", "| (row, col) | utility | gain | cells away |", "|---|---|---|---|"]
+        for mark, candidate in zip(
+            ["**", *[""] * len(decision.rivals)], [decision.chosen, *decision.rivals], strict=True
+        ):
+            row, col = candidate.cell
+            lines.append(
+                f"| {mark}({row}, {col}){mark} | {three_digits(candidate.utility)} | "
+                f"{candidate.reward:.1f} | {candidate.cost:.1f} |"
+            )
+    return "\n".join(lines)
 
 
 def _blocks(steps: Iterable[Step], size: int) -> Iterator[list[Step]]:

@@ -1,7 +1,9 @@
-"""How an episode looks in Rerun: entity paths, and the arrangement of the views."""
+"""How episodes look in Rerun: entity paths, and the arrangement of the views."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
@@ -9,13 +11,22 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from mapreplay.recorders.palette import Curve
-from mapreplay.recorders.scene import curves, has_prediction
+from mapreplay.recorders.scene import (
+    COMPARED,
+    MapView,
+    curves,
+    has_prediction,
+    has_truth,
+    map_views,
+)
 from mapreplay.step import EpisodeHeader
 
 TIMELINE: Final = "step"
 FRAMES_PER_SECOND: Final = 20.0
 MARGIN: Final = 0.02
 """Around a map, as a share of its longer side."""
+PAPER: Final = (16, 18, 22)
+"""Behind the legend."""
 
 
 class Entity(StrEnum):
@@ -30,11 +41,17 @@ class Entity(StrEnum):
     AGENT = "agent/position"
     TRAIL = "agent/trail"
     RAYS = "agent/rays"
+    HITS = "agent/hits"
     FRONTIER = "plan/frontier"
+    RIVALS = "plan/rivals"
     PATH = "plan/path"
     TARGET = "plan/target"
+    MARKS = "marks"
     SCORES = "scores"
+    STAGES = "stages"
+    STATE = "state"
     EVENTS = "events"
+    DECISION = "decision"
     HEADER = "header"
 
     def below(self, root: str) -> str:
@@ -42,29 +59,67 @@ class Entity(StrEnum):
         return f"{root}/{self}"
 
 
+# What belongs to all episodes of a recording together.
+LEGEND: Final = "/legend"
+PARTING: Final = "/parting"
+NOTE: Final = "/note"
+"""In the place of a map that an episode does not have."""
+
+_MAPS: Final[dict[MapView, Entity]] = {
+    MapView.OBSERVED: Entity.OBSERVED,
+    MapView.PREDICTED: Entity.PREDICTED,
+    MapView.FUSED: Entity.FUSED,
+    MapView.ERROR: Entity.ERROR,
+    MapView.TRUTH: Entity.TRUTH,
+}
+
+_ON_MAPS: Final[dict[MapView, tuple[Entity, ...]]] = {
+    MapView.OBSERVED: (Entity.RAYS, Entity.HITS),
+    MapView.FUSED: (Entity.FRONTIER, Entity.RIVALS, Entity.PATH, Entity.TARGET, Entity.MARKS),
+    MapView.ERROR: (Entity.MARKS,),
+    MapView.TRUTH: (Entity.MARKS,),
+}
+"""What is drawn over each map, besides the agent and its trail."""
+
+
 def curve_path(curve: Curve, root: str) -> str:
     """The absolute path of a curve under `root`."""
     return f"{Entity.SCORES.below(root)}/{curve}"
 
 
+@dataclass(frozen=True, eq=False)
+class Pane:
+    """One episode's place in a layout."""
+
+    header: EpisodeHeader
+    root: str = ""
+    """That it is sent to."""
+    name: str = ""
+    """That stands before the titles of its views; empty if it is the only one."""
+    has_maps: bool = True
+    profiled: bool = False
+
+    def title(self, text: str) -> str:
+        """The title of one of its views."""
+        return f"{self.name[:1]}  {text}" if self.name else text
+
+
 def layout(
-    header: EpisodeHeader,
-    root: str = "",
-    play_state: rrb.components.PlayState = rrb.components.PlayState.Paused,
+    panes: Sequence[Pane], play_state: rrb.components.PlayState = rrb.components.PlayState.Paused
 ) -> rrb.Blueprint:
-    """The maps side by side over the curves, the events and the header.
+    """The maps side by side, episodes one above the other, over curves and words.
 
     Args:
-        header: of the episode; its size and whether it has a prediction decide.
-        root: the root that the episode was sent to.
+        panes: of the episodes; at least one has maps.
         play_state: whether time stands, plays, or follows the newest step.
     """
+    shown = [pane for pane in panes if pane.has_maps]
+    below = _below_one(panes[0]) if len(panes) == 1 else _below_several(panes)
+    columns = [v for v in MapView if any(v in map_views(pane.header) for pane in shown)]
+    maps = [rrb.Horizontal(*_map_views(pane, columns)) for pane in shown]
+    shares = [_share(pane, len(shown)) for pane in shown]
     return rrb.Blueprint(
-        rrb.Vertical(
-            rrb.Horizontal(*_map_views(header, root)),
-            rrb.Horizontal(*_text_and_curves(header, root), column_shares=[4, 3, 3]),
-            row_shares=[3, 2],
-        ),
+        rrb.Vertical(*maps, _legend_view(), below, row_shares=[*shares, 1, 11]),
         rrb.TimePanel(
             state="collapsed", timeline=TIMELINE, fps=FRAMES_PER_SECOND, play_state=play_state
         ),
@@ -72,60 +127,154 @@ def layout(
     )
 
 
-def application_id(header: EpisodeHeader) -> str:
+def application_id(panes: Sequence[Pane]) -> str:
     """The name that recordings with the same `layout` share.
 
     A viewer keeps one layout for all recordings of an application.
     """
-    height, width = header.floor_plan.shape
-    maps = "predicted" if has_prediction(header) else "observed"
-    return f"mapreplay-{maps}-{height}x{width}"
-
-
-def _map_views(header: EpisodeHeader, root: str) -> list[rrb.View | rrb.Container]:
-    def view(name: str, *entities: Entity) -> rrb.Spatial2DView:
-        # Of the trail each step holds one move, so that its size grows with the number of
-        # steps and not with its square; the view joins all moves up to the time cursor.
-        whole_trail = rrb.VisibleTimeRanges(
-            timeline=TIMELINE,
-            start=rr.TimeRangeBoundary.infinite(),
-            end=rr.TimeRangeBoundary.cursor_relative(),
+    kinds = []
+    for pane in panes:
+        height, width = pane.header.floor_plan.shape
+        kinds.append(
+            "predicted" if has_prediction(pane.header) else "observed",
         )
-        height, width = header.floor_plan.shape
-        margin = MARGIN * max(height, width)
-        return rrb.Spatial2DView(
-            origin=root or "/",
-            name=name,
-            contents=[entity.below(root) for entity in (*entities, Entity.TRAIL, Entity.AGENT)],
-            overrides={Entity.TRAIL.below(root): whole_trail},
-            visual_bounds=rrb.VisualBounds2D(
-                x_range=[-margin, width + margin], y_range=[-margin, height + margin]
-            ),
-        )
+        kinds += ["judged"] * has_truth(pane.header) + ["profiled"] * pane.profiled
+        kinds.append(f"{height}x{width}" if pane.has_maps else "curves")
+    return "-".join(["mapreplay", *kinds])
 
-    plan = (Entity.FRONTIER, Entity.PATH, Entity.TARGET)
-    views: list[rrb.View | rrb.Container] = [view("Observed", Entity.OBSERVED, Entity.RAYS)]
-    if has_prediction(header):
-        views.append(view("Predicted P(wall)", Entity.PREDICTED))
-    views.append(view("Fused", Entity.FUSED, *plan))
-    views.append(rrb.Tabs(view("Error of fused", Entity.ERROR), view("Truth", Entity.TRUTH)))
+
+def _share(pane: Pane, rows: int) -> float:
+    """The height of a row of maps: as high as they are wide, within what leaves room for others."""
+    height, width = pane.header.floor_plan.shape
+    across = len(map_views(pane.header))
+    fitting = 13.0 * (height / width) * (4 / across)
+    return min(max(fitting, 7.0), 14.0) * (1.0 if rows == 1 else 0.8)
+
+
+def _map_views(pane: Pane, columns: Sequence[MapView]) -> list[rrb.View | rrb.Container]:
+    """The maps of an episode; a note stands for one that only others have."""
+    views: list[rrb.View | rrb.Container] = []
+    for view in columns:
+        if view not in map_views(pane.header):
+            note = rrb.TextDocumentView(origin=NOTE, name=pane.title(view.heading))
+            views.append(note)
+        elif view is MapView.ERROR:
+            views.append(rrb.Tabs(_map_view(pane, view), _map_view(pane, MapView.TRUTH)))
+        else:
+            views.append(_map_view(pane, view))
     return views
 
 
-def _text_and_curves(header: EpisodeHeader, root: str) -> list[rrb.View]:
-    columns = rrb.encodings.TextLogColumnKind
-    return [
-        rrb.TimeSeriesView(
-            origin=Entity.SCORES.below(root),
-            name="F1 and coverage",
-            contents=[curve_path(curve, root) for curve in curves(header)],
-            axis_y=rrb.ScalarAxis(range=(0.0, 1.02)),
-            plot_legend=rrb.Corner2D.RightBottom,
+def _map_view(pane: Pane, view: MapView) -> rrb.Spatial2DView:
+    root = pane.root
+    # Of the trail each step holds one move, so that its size grows with the number of steps
+    # and not with its square; the view joins all moves up to the time cursor.
+    whole_trail = rrb.VisibleTimeRanges(
+        timeline=TIMELINE,
+        start=rr.TimeRangeBoundary.infinite(),
+        end=rr.TimeRangeBoundary.cursor_relative(),
+    )
+    height, width = pane.header.floor_plan.shape
+    margin = MARGIN * max(height, width)
+    entities = (_MAPS[view], *_ON_MAPS.get(view, ()), Entity.TRAIL, Entity.AGENT)
+    return rrb.Spatial2DView(
+        origin=root or "/",
+        name=pane.title(view.heading),
+        contents=[
+            f"{entity.below(root)}/**" if entity is Entity.MARKS else entity.below(root)
+            for entity in entities
+        ],
+        overrides={Entity.TRAIL.below(root): whole_trail},
+        visual_bounds=rrb.VisualBounds2D(
+            x_range=[-margin, width + margin], y_range=[-margin, height + margin]
         ),
-        rrb.TextLogView(
-            origin=Entity.EVENTS.below(root),
-            name="Events",
-            columns=rrb.TextLogColumns(text_log_columns=[columns.LogLevel, columns.Body]),
-        ),
-        rrb.TextDocumentView(origin=Entity.HEADER.below(root), name="Episode"),
+    )
+
+
+def _legend_view() -> rrb.Spatial2DView:
+    return rrb.Spatial2DView(
+        origin=LEGEND, name="Legend", contents=[LEGEND], titlebar=False, background=PAPER
+    )
+
+
+def _below_one(pane: Pane) -> rrb.Container:
+    scores: list[rrb.View] = [
+        _curves_view("Scores", [curve_path(curve, pane.root) for curve in curves(pane.header)])
     ]
+    if pane.profiled:
+        scores.append(
+            rrb.TimeSeriesView(
+                origin=Entity.STAGES.below(pane.root),
+                name="Step time, ms",
+                plot_legend=rrb.Corner2D.RightTop,
+            )
+        )
+    return rrb.Horizontal(
+        rrb.Vertical(rrb.Tabs(*scores), _state_view([pane]), row_shares=[7, 2]),
+        _decision_view(pane),
+        rrb.Vertical(
+            _events_view([pane]),
+            _header_view(pane),
+            row_shares=[4, 5],
+        ),
+        column_shares=[9, 7, 8],
+    )
+
+
+def _below_several(panes: Sequence[Pane]) -> rrb.Container:
+    plots = [
+        _curves_view(
+            curve.label[0].upper() + curve.label[1:],
+            [*(curve_path(curve, p.root) for p in panes), f"{PARTING}/at/**"],
+        )
+        for curve in COMPARED
+    ]
+    shown = [pane for pane in panes if pane.has_maps]
+    words: list[rrb.View | rrb.Container] = [
+        rrb.Tabs(_decision_view(pane), _header_view(pane)) for pane in shown
+    ]
+    words.append(_events_view(shown))
+    return rrb.Horizontal(
+        rrb.Vertical(
+            rrb.Horizontal(*plots), _state_view(panes), row_shares=[7, 1 + 2 * len(shown)]
+        ),
+        *words,
+        column_shares=[12, *[5] * len(words)],
+    )
+
+
+def _curves_view(name: str, paths: Sequence[str]) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(
+        origin="/",
+        name=name,
+        contents=list(paths),
+        axis_y=rrb.ScalarAxis(range=(0.0, 1.02)),
+        plot_legend=rrb.Corner2D.RightBottom,
+    )
+
+
+def _state_view(panes: Sequence[Pane]) -> rrb.StateTimelineView:
+    paths = [Entity.STATE.below(pane.root) for pane in panes if pane.has_maps]
+    return rrb.StateTimelineView(
+        origin="/", name="State", contents=[*paths, f"{PARTING}/**"], titlebar=False
+    )
+
+
+def _decision_view(pane: Pane) -> rrb.TextDocumentView:
+    return rrb.TextDocumentView(
+        origin=Entity.DECISION.below(pane.root), name=pane.title("Decision")
+    )
+
+
+def _header_view(pane: Pane) -> rrb.TextDocumentView:
+    return rrb.TextDocumentView(origin=Entity.HEADER.below(pane.root), name=pane.title("Episode"))
+
+
+def _events_view(panes: Sequence[Pane]) -> rrb.TextLogView:
+    columns = rrb.encodings.TextLogColumnKind
+    return rrb.TextLogView(
+        origin="/",
+        name="Events",
+        contents=[*(Entity.EVENTS.below(pane.root) for pane in panes), f"{PARTING}/events"],
+        columns=rrb.TextLogColumns(text_log_columns=[columns.Body]),
+    )

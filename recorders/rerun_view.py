@@ -1,4 +1,4 @@
-"""An episode shown in Rerun: in a file, a window, or a browser; whole or while it happens."""
+"""Episodes shown in Rerun: in a file, a window, or a browser; whole or while they happen."""
 
 from __future__ import annotations
 
@@ -9,31 +9,24 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Self, TypeAlias
+from typing import TYPE_CHECKING, Final, Self, TypeAlias
 from urllib.parse import quote
 
 import rerun as rr
 import rerun.blueprint as rrb
 
 from mapreplay.errors import LogError, MapreplayError, UsageError
-from mapreplay.recorders.rerun_columns import EpisodeColumns, send_episode
-from mapreplay.recorders.rerun_layout import application_id, layout
+from mapreplay.recorders.replay import LETTERS, Replay, names_of
+from mapreplay.recorders.rerun_columns import EpisodeColumns, send_episode, send_scores
+from mapreplay.recorders.rerun_layout import TIMELINE, Pane, application_id, layout
+from mapreplay.recorders.rerun_static import send_legend, send_parting
 from mapreplay.step import EpisodeHeader, Step
 
-__all__ = [
-    "LiveView",
-    "Sink",
-    "WebServer",
-    "layout",
-    "native_viewer",
-    "open_viewer",
-    "save_rrd",
-    "send_episode",
-    "serve_web",
-]
+if TYPE_CHECKING:
+    from rerun.experimental import ViewerClient
 
 LOOPBACK: Final = "127.0.0.1"
 VIEWER_PORT: Final = 9876
@@ -45,10 +38,8 @@ Sink: TypeAlias = Callable[[rr.RecordingStream, rrb.Blueprint], None]
 """Connects a new recording, with its layout, to where it is shown."""
 
 
-def save_rrd(
-    path: Path, header: EpisodeHeader, steps: Iterable[Step], *, force: bool = False
-) -> None:
-    """Write an episode with its layout to an .rrd file, whole or not at all.
+def save_rrd(path: Path, replays: Sequence[Replay], *, force: bool = False) -> None:
+    """Write episodes with their layout to an .rrd file, whole or not at all.
 
     All that is written, which is compressed, is in memory at one time.
 
@@ -63,7 +54,7 @@ def save_rrd(
     except OSError as error:
         raise LogError(f"{path}: cannot be written ({error.strerror})") from None
     try:
-        part.write_bytes(_encoded(header, steps))
+        part.write_bytes(_encoded(replays))
         part.replace(path)
     except OSError as error:
         raise LogError(f"{path}: cannot be written ({error.strerror})") from None
@@ -71,8 +62,10 @@ def save_rrd(
         part.unlink(missing_ok=True)
 
 
-def open_viewer(header: EpisodeHeader, steps: Iterable[Step], port: int = VIEWER_PORT) -> None:
-    """Show an episode in the native viewer.
+def open_viewer(
+    replays: Sequence[Replay], port: int = VIEWER_PORT, step: int | None = None
+) -> None:
+    """Show episodes in the native viewer, from `step` on.
 
     Returns when all steps are sent; the viewer stays.
 
@@ -80,16 +73,33 @@ def open_viewer(header: EpisodeHeader, steps: Iterable[Step], port: int = VIEWER
         UsageError: there is no display, or the port is taken by something else.
         MapreplayError: the viewer does not start.
     """
-    _show(header, steps, native_viewer(port))
+    _show(replays, native_viewer(port))
+    if step is not None:
+        go_to(port, step)
+
+
+def go_to(port: int, step: int) -> None:
+    """Set the time cursor of the viewer that listens at `port`."""
+    from rerun.experimental import ViewerClient
+
+    client = ViewerClient.connect(_grpc_address(port))
+    # It is told apart from the steps that were sent, and may hear of it before it has them.
+    _await(lambda: _reaches(client, step), "the Rerun viewer")
+    client.set_time(TIMELINE, sequence=step, play_state="paused")
+
+
+def _reaches(client: ViewerClient, step: int) -> bool:
+    return any(
+        timeline.name == TIMELINE and (timeline.end or 0) >= step
+        for recording in client.get_state().recordings
+        for timeline in recording.timelines
+    )
 
 
 def serve_web(
-    header: EpisodeHeader,
-    steps: Iterable[Step],
-    web_port: int | None = None,
-    grpc_port: int | None = None,
+    replays: Sequence[Replay], web_port: int | None = None, grpc_port: int | None = None
 ) -> WebServer:
-    """Show an episode to browsers on this machine; see `WebServer`.
+    """Show episodes to browsers on this machine; see `WebServer`.
 
     Returns when all steps are sent; the caller closes the server.
 
@@ -99,7 +109,7 @@ def serve_web(
     """
     server = WebServer(web_port, grpc_port)
     try:
-        _show(header, steps, server.connect)
+        _show(replays, server.connect)
     except BaseException:
         server.close()
         raise
@@ -117,8 +127,11 @@ class LiveView:
 
     def __init__(self, header: EpisodeHeader, sink: Sink | None = None) -> None:
         sink = sink or native_viewer()
-        self._recording = _new_recording(header)
-        sink(self._recording, layout(header, play_state=rrb.components.PlayState.Following))
+        replay = Replay(header)
+        panes = panes_of([replay])
+        self._recording = _new_recording([replay], panes)
+        sink(self._recording, layout(panes, rrb.components.PlayState.Following))
+        send_legend(self._recording, [replay])
         self._columns = EpisodeColumns(self._recording, header)
 
     def add(self, step: Step) -> None:
@@ -150,7 +163,7 @@ def native_viewer(port: int = VIEWER_PORT) -> Sink:
     Raises:
         UsageError: there is no display.
     """
-    require_display(sys.platform, os.environ)
+    require_display_here()
 
     def connect(recording: rr.RecordingStream, blueprint: rrb.Blueprint) -> None:
         if not _answers(port):
@@ -167,6 +180,15 @@ def native_viewer(port: int = VIEWER_PORT) -> Sink:
     return connect
 
 
+def require_display_here() -> None:
+    """Check that a window can be opened on this machine.
+
+    Raises:
+        UsageError: there is no display.
+    """
+    require_display(sys.platform, os.environ)
+
+
 def require_display(platform: str, environment: Mapping[str, str]) -> None:
     """Check that a window can be opened.
 
@@ -176,7 +198,8 @@ def require_display(platform: str, environment: Mapping[str, str]) -> None:
     displays = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
     if platform == "linux" and not any(environment.get(name) for name in displays):
         raise UsageError(
-            "no display to open the viewer on; use --web for a browser, or --save FILE.rrd"
+            "no display to open the viewer on; use --web for a browser, --save FILE.rrd, or "
+            "--png FILE.png --step N for a picture"
         )
 
 
@@ -254,32 +277,60 @@ def _await(ready: Callable[[], bool], what: str) -> None:
         time.sleep(0.05)
 
 
-def _show(header: EpisodeHeader, steps: Iterable[Step], sink: Sink) -> None:
-    recording = _new_recording(header)
+def panes_of(replays: Sequence[Replay]) -> list[Pane]:
+    """Where each of the episodes is sent to and shown; a single one needs no name."""
+    headers = [replay.header for replay in replays]
+    names = names_of(headers) if len(replays) > 1 else [""]
+    roots = [f"/{letter}" for letter in LETTERS] if len(replays) > 1 else [""]
+    return [
+        Pane(replay.header, root, name, replay.has_maps, replay.profiled)
+        for replay, root, name in zip(replays, roots, names, strict=False)
+    ]
+
+
+def send(recording: rr.RecordingStream, replays: Sequence[Replay], panes: Sequence[Pane]) -> None:
+    """Send whole episodes to where their panes are."""
+    send_legend(recording, [replay for replay in replays if replay.has_maps])
+    first = True
+    for replay, pane in zip(replays, panes, strict=True):
+        if not replay.has_maps:
+            send_scores(recording, replay, pane.root, pane.name)
+            continue
+        if not first:
+            send_parting(recording, pane.name, replay.parts_at)
+        send_episode(recording, replay, pane.root, pane.name)
+        first = False
+
+
+def _show(replays: Sequence[Replay], sink: Sink) -> None:
+    panes = panes_of(replays)
+    recording = _new_recording(replays, panes)
     try:
-        sink(recording, layout(header))
-        send_episode(recording, header, steps)
+        sink(recording, layout(panes))
+        send(recording, replays, panes)
         recording.flush(timeout_sec=_FLUSH_SECONDS)
     finally:
         recording.disconnect()
 
 
-def _encoded(header: EpisodeHeader, steps: Iterable[Step]) -> bytes:
+def _encoded(replays: Sequence[Replay]) -> bytes:
     """What an .rrd file contains. To let Rerun write it would wait for ever on a full disk."""
-    recording = _new_recording(header)
+    panes = panes_of(replays)
+    recording = _new_recording(replays, panes)
     try:
         stream = rr.binary_stream(recording)
-        recording.send_blueprint(layout(header))
-        send_episode(recording, header, steps)
+        recording.send_blueprint(layout(panes))
+        send(recording, replays, panes)
         # One read: each adds an index of its own to the end, and a file has one.
         return stream.read(flush_timeout_sec=_FLUSH_SECONDS) or b""
     finally:
         recording.disconnect()
 
 
-def _new_recording(header: EpisodeHeader) -> rr.RecordingStream:
-    recording = rr.RecordingStream(application_id(header))
-    recording.send_recording_name(header.file_name.removesuffix(".mcap"))
+def _new_recording(replays: Sequence[Replay], panes: Sequence[Pane]) -> rr.RecordingStream:
+    recording = rr.RecordingStream(application_id(panes))
+    names = [replay.header.file_name.removesuffix(".mcap") for replay in replays]
+    recording.send_recording_name(names[0] if len(names) == 1 else f"{len(names)} episodes")
     return recording
 
 

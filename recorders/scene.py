@@ -19,6 +19,7 @@ from mapreplay.step import (
     Candidate,
     Cells,
     EpisodeHeader,
+    Event,
     EventKind,
     Mode,
     Outcome,
@@ -78,6 +79,10 @@ def curves(header: EpisodeHeader) -> tuple[Curve, ...]:
     if has_prediction(header):
         return tuple(Curve)
     return (Curve.F1, Curve.PRECISION, Curve.RECALL, Curve.COVERAGE_OBSERVED)
+
+
+COMPARED: Final = (Curve.F1, Curve.CORRECT_COVERAGE)
+"""The curves of episodes that are shown together."""
 
 
 def cell_classes(cells: Grid) -> npt.NDArray[np.uint8]:
@@ -148,12 +153,17 @@ _ENDINGS: Final = {
 }
 
 
+def event_words(event: Event) -> str:
+    """An event as a line: ``sealed in: the fused map has no frontier within reach``."""
+    return f"{event.kind}: {event.text}".replace("_", " ")
+
+
 def decision_words(step: Step) -> str:
     """Why the agent goes where it goes, in a sentence; how the episode ended at its last step."""
     decision = step.decision
     if decision is None:
         ended = [event.text for event in step.events if event.kind is EventKind.OUTCOME]
-        return ended[-1] if ended else "no target is logged"
+        return ended[-1].replace("_", " ") if ended else "no target is logged"
     words = f"went to {_cell(decision.chosen)}"
     if decision.mode is Mode.FAIL_SAFE:
         words += " by the fail-safe"
@@ -179,7 +189,12 @@ def _rating(candidate: Candidate) -> str:
 
 
 def _utility(candidate: Candidate) -> str:
-    return f"{candidate.utility:.3g}"
+    return three_digits(candidate.utility)
+
+
+def three_digits(number: float) -> str:
+    """The number with three significant digits: 1.70, 48.2, 0.0625, 1.23e+03."""
+    return f"{number:#.3g}".rstrip(".")
 
 
 def _cell(candidate: Candidate) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from datetime import datetime
 from pathlib import Path
@@ -270,11 +269,11 @@ def _watch(tasks: list[Task]) -> list[Path]:
     """Record one episode after the other, showing each step as it happens."""
     from mapreplay.episode import prepare_episode, run_episode
     from mapreplay.predictors import load_predictor
-    from mapreplay.recorders.rerun_view import LiveView, require_display
+    from mapreplay.recorders.rerun_view import LiveView, require_display_here
     from mapreplay.recorders.writer import EpisodeWriter
 
     try:
-        require_display(sys.platform, os.environ)
+        require_display_here()
     except UsageError:
         raise UsageError(
             "run --view: there is no display; run without it, then `mapreplay view LOG --web`"

@@ -1,42 +1,158 @@
-"""`mapreplay view`: replay an episode in Rerun."""
+"""`mapreplay view`: replay episodes in Rerun, or draw them without it."""
 
 from __future__ import annotations
 
+import re
+from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mapreplay.cli.logs import LogArgument, open_log
+from mapreplay.cli.logs import open_log
 from mapreplay.cli.output import ForceOption, note
 from mapreplay.errors import UsageError
 
+if TYPE_CHECKING:
+    from mapreplay.recorders.frame import Film
+    from mapreplay.recorders.log import EpisodeLog
+    from mapreplay.recorders.replay import Replay
+
+
+class ThemeName(StrEnum):
+    """What is around the maps of a picture."""
+
+    LIGHT = "light"
+    DARK = "dark"
+
 
 def view(
-    log: LogArgument,
+    logs: Annotated[
+        list[Path],
+        typer.Argument(
+            help="A log, or several: the maps of two above each other, the curves of all.",
+            show_default=False,
+        ),
+    ],
+    maps: Annotated[
+        str | None,
+        typer.Option(help="Of several: whose maps, by letter, such as A,C (default A,B)."),
+    ] = None,
+    step: Annotated[
+        int | None, typer.Option(help="Start at this step; -1 is the last.", show_default=False)
+    ] = None,
     save: Annotated[
-        Path | None, typer.Option(help="Write a .rrd that opens with this layout instead.")
+        Path | None, typer.Option(help="Write a .rrd that opens with this layout.")
     ] = None,
     web: Annotated[bool, typer.Option("--web", help="Show in a browser, on this machine.")] = False,
+    png: Annotated[
+        Path | None, typer.Option(help="Draw --step (default: the last) as PNG; needs no viewer.")
+    ] = None,
+    gif: Annotated[Path | None, typer.Option(help="Draw all steps as GIF.")] = None,
+    mp4: Annotated[Path | None, typer.Option(help="Draw all steps as MP4.")] = None,
+    every: Annotated[int, typer.Option(min=1, help="Of a film: every so many-th step.")] = 1,
+    size: Annotated[str, typer.Option(help="Of a picture or film, in pixels.")] = "1280x720",
+    theme: Annotated[ThemeName, typer.Option(help="Of a picture or film.")] = ThemeName.LIGHT,
     force: ForceOption = False,
 ) -> None:
-    """Replay an episode in Rerun.
+    """Replay episodes in Rerun, or draw them as PNG, GIF or MP4.
 
     Observed, predicted, fused and error maps side by side, with rays, trail, frontier, target
     and curves on one timeline.
     """
-    if save and web:
-        raise UsageError("view: choose one of --save and --web")
+    targets = {"--save": save, "--web": web or None, "--png": png, "--gif": gif, "--mp4": mp4}
+    asked = [name for name, target in targets.items() if target is not None]
+    if len(asked) > 1:
+        raise UsageError(f"view: choose one of {', '.join(asked)}")
+    if step is not None and asked and asked != ["--png"]:
+        raise UsageError(f"view: --step is for the window and --png, not for {asked[0]}")
+    opened = _open(logs)
+    chosen = _chosen(maps, len(opened))
+    at = None if step is None else _step(step, [opened[number] for number in chosen])
+    if png or gif or mp4:
+        film = _film([opened[number] for number in chosen], size, theme)
+        _draw(film, at, png, gif, mp4, every, force=force)
+        return
+    from mapreplay.recorders.replay import replays_of
+    from mapreplay.recorders.rerun_view import require_display_here
+
+    if not asked:
+        require_display_here()  # before all the reading
+    _show(replays_of(opened, chosen=chosen), at, save, web=web, force=force)
+
+
+def _open(paths: list[Path]) -> list[EpisodeLog]:
+    """All logs that the paths stand for, in the order of the paths."""
+    from mapreplay.recorders.log import find_logs
+
+    return [open_log(log) for path in paths for log in find_logs([path])]
+
+
+def _chosen(maps: str | None, count: int) -> list[int]:
+    """The numbers of the logs whose maps are shown."""
+    from mapreplay.recorders.replay import LETTERS
+
+    if maps is None:
+        return list(range(min(2, count)))
+    letters = re.split(r"[,\s]+", maps.strip().upper())
+    known = LETTERS[:count]
+    for letter in letters:
+        if len(letter) != 1 or letter not in known:
+            raise UsageError(f"--maps {maps}: the logs are {known[0]} to {known[-1]}")
+    return sorted({known.index(letter) for letter in letters})
+
+
+def _step(step: int, logs: list[EpisodeLog]) -> int:
+    count = max(len(log) for log in logs)
+    if not -count <= step < count:
+        raise UsageError(f"--step {step}: {logs[0].path} has steps 0 to {count - 1}")
+    return step % count
+
+
+def _film(logs: list[EpisodeLog], size: str, theme: ThemeName) -> Film:
+    from mapreplay.recorders.frame import Film, Filmed
+    from mapreplay.recorders.palette import THEMES
+
+    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", size)
+    if match is None:
+        raise UsageError(f"--size {size}: should be WIDTHxHEIGHT, such as 1920x1080")
+    pixels = (int(match[1]), int(match[2]))
+    return Film([Filmed.of(log) for log in logs], pixels, THEMES[theme])
+
+
+def _draw(
+    film: Film,
+    step: int | None,
+    png: Path | None,
+    gif: Path | None,
+    mp4: Path | None,
+    every: int,
+    *,
+    force: bool,
+) -> None:
+    from mapreplay.recorders.film import save_gif, save_mp4, save_png
+
+    if png:
+        save_png(png, film, film.last if step is None else step, force=force)
+    elif gif:
+        save_gif(gif, film, every, force=force)
+    elif mp4:
+        save_mp4(mp4, film, every, force=force)
+    note(f"written: {png or gif or mp4}")
+
+
+def _show(
+    replays: list[Replay], step: int | None, save: Path | None, *, web: bool, force: bool
+) -> None:
     from mapreplay.recorders.rerun_view import open_viewer, save_rrd, serve_web
 
-    opened = open_log(log)
     if save is not None:
-        save_rrd(save, opened.header, opened.steps(), force=force)
+        save_rrd(save, replays, force=force)
         note(f"written: {save}; open it with `rerun {save}`")
     elif web:
-        with serve_web(opened.header, opened.steps()) as served:
+        with serve_web(replays) as served:
             typer.echo(served.address)
             note("press Ctrl-C to end")
             served.wait()
     else:
-        open_viewer(opened.header, opened.steps())
+        open_viewer(replays, step=step)

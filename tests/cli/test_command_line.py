@@ -235,28 +235,6 @@ def test_export_writes_arrays_and_pictures(cli: Run, logs: Path, tmp_path: Path)
     assert cli("export", log, "--png", tmp_path / "b", "--step", 99).code == 2
 
 
-def test_view_saves_a_recording(cli: Run, logs: Path, tmp_path: Path) -> None:
-    log = sorted(logs.iterdir())[0]
-    rrd = tmp_path / "x.rrd"
-    result = cli("view", log, "--save", rrd)
-    assert result.code == 0, result.err
-    assert rrd.stat().st_size > 10_000
-
-
-def test_view_without_a_display_names_what_works(
-    cli: Run, logs: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    if sys.platform != "linux":
-        pytest.skip("displays are looked for in the environment on Linux only")
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    result = cli("view", sorted(logs.iterdir())[0])
-    assert result.code == 2
-    assert result.err.count("\n") == 1
-    assert "--web" in result.err
-    assert "--save" in result.err
-
-
 def test_watching_without_a_display_records_nothing(
     cli: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -31,11 +31,13 @@ from mapreplay.recorders.palette import (
     AGENT_COLOUR,
     CELL_COLOURS,
     FRONTIER_COLOUR,
+    RIVALS_COLOUR,
     CellClass,
 )
-from mapreplay.recorders.rerun_columns import ray_strips
-from mapreplay.recorders.rerun_view import LiveView, WebServer, save_rrd, send_episode, serve_web
-from mapreplay.recorders.scene import error_classes
+from mapreplay.recorders.replay import Replay
+from mapreplay.recorders.rerun_columns import send_episode
+from mapreplay.recorders.rerun_view import LiveView, WebServer, save_rrd, serve_web
+from mapreplay.recorders.scene import decision_words, error_classes, rays_of
 from mapreplay.step import Step
 
 HOUSE = """
@@ -79,7 +81,7 @@ def steps(episode: Episode) -> list[Step]:
 @pytest.fixture(scope="module")
 def saved(episode: Episode, steps: list[Step], tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("rrd") / "episode.rrd"
-    save_rrd(path, episode.header, steps)
+    save_rrd(path, [Replay(episode.header, steps)])
     return path
 
 
@@ -96,9 +98,13 @@ def read(path: Path) -> Recorded:
 
 
 def pictures(recorded: Recorded, name: str, image: str, shape: tuple[int, int]) -> dict[int, Any]:
-    """Each step's picture, row 0 on top."""
+    """Each step's picture, row 0 on top: the newest that was sent up to it, as a viewer shows."""
     column = recorded[f"/maps/{name}:{image}:buffer"]
-    return {k: np.array(value, np.uint8).reshape(shape) for k, value in column.items()}
+    shown = {k: np.array(value, np.uint8).reshape(shape) for k, value in column.items()}
+    if -1 in shown:
+        return shown
+    last = max(recorded["/agent/position:Points2D:positions"])
+    return {k: shown[max(i for i in shown if i <= k)] for k in range(last + 1)}
 
 
 def class_of(cell: int) -> CellClass:
@@ -157,28 +163,6 @@ def test_points_lie_on_the_cells_of_pictures(data: st.DataObject, height: int, w
     assert (x % 1, y % 1) == (0.5, 0.5)
 
 
-def test_rays_end_at_the_hit_the_range_or_the_border() -> None:
-    corridor = plan("""
-        ..........
-        ..........
-        #....S...#
-        ..........
-        ..........
-    """)
-    config = EpisodeConfig(planner="nearest", start=(2, 5), reach=4, rays=8, max_steps=1)
-    episode = prepare_episode(config, corridor)
-    first = next(run_episode(episode))
-    ends = [tuple(strip[1]) for strip in ray_strips(first, episode.header).tolist()]
-    starts = {tuple(strip[0]) for strip in ray_strips(first, episode.header).tolist()}
-    assert starts == {(5.5, 2.5)}
-    east, north_east, north, _, west, _, south, _ = ends
-    assert east == (9.5, 2.5)  # the hit
-    assert west == (1.5, 2.5)  # the end of its range of four cells
-    assert north == (5.5, 0.5)  # the border: y grows downwards in pictures
-    assert north_east == (7.5, 0.5)
-    assert south == (5.5, 4.5)
-
-
 def test_agent_trail_frontier_path_and_target_are_those_of_the_step(
     saved: Path, episode: Episode, steps: list[Step]
 ) -> None:
@@ -199,7 +183,13 @@ def test_agent_trail_frontier_path_and_target_are_those_of_the_step(
         assert recorded["/plan/path:LineStrips2D:strips"][k] == path
         target = [xy(step.decision.target)] if step.decision else []
         assert recorded["/plan/target:Points2D:positions"][k] == target
-        assert len(recorded["/agent/rays:LineStrips2D:strips"][k]) == 16
+        rays = rays_of(step, episode.header)
+        ends = [strip[1] for strip in recorded["/agent/rays:LineStrips2D:strips"][k]]
+        assert ends == [xy(end) for end in rays.ends]
+        hits = [xy(end) for end in rays.ends[rays.hit]]
+        assert recorded["/agent/hits:Points2D:positions"][k] == hits
+        rivals = [xy(rival.cell) for rival in step.decision.rivals] if step.decision else []
+        assert recorded["/plan/rivals:Points2D:positions"][k] == rivals
     assert steps[-1].decision is None, "the last step clears path and target"
 
 
@@ -218,7 +208,14 @@ def test_curves_events_and_header_are_sent(saved: Path, steps: list[Step]) -> No
         expected = {step.index: [getattr(step.metrics, name)] for step in steps}
         assert curve == expected
     texts = recorded["/events:TextLog:text"]
-    assert texts[steps[-1].index] == [f"step 30, outcome: {steps[-1].events[-1].text}"]
+    assert texts[steps[-1].index] == ["outcome: out of steps after 30 steps"]
+    states = recorded["/state:StateChange:state"]
+    assert states == {0: ["exploring"], 30: ["out of steps"]}
+    (said,) = recorded["/decision:TextDocument:text"][3]
+    assert said.startswith(f"**Step 3: exploring**\n\n{decision_words(steps[3])}\n")
+    chosen = steps[3].decision
+    assert chosen is not None
+    assert f"| **({chosen.target.row}, {chosen.target.col})** |" in said
     (document,) = recorded["/header:TextDocument:text"][-1]
     assert "| predictor | noisy |" in document
 
@@ -227,7 +224,7 @@ def test_blocks_join_without_a_seam(
     episode: Episode, steps: list[Step], saved: Path, tmp_path: Path, monkeypatch: Any
 ) -> None:
     monkeypatch.setattr(rerun_columns, "BLOCK_STEPS", 7)
-    save_rrd(tmp_path / "seven.rrd", episode.header, iter(steps))
+    save_rrd(tmp_path / "seven.rrd", [Replay(episode.header, iter(steps))])
     assert read(tmp_path / "seven.rrd") == read(saved)
 
 
@@ -249,7 +246,7 @@ def test_a_step_without_a_prediction_takes_back_the_last_one(
     episode: Episode, steps: list[Step], tmp_path: Path
 ) -> None:
     silent = replace(steps[1], p_wall=None)
-    save_rrd(tmp_path / "x.rrd", episode.header, [steps[0], silent])
+    save_rrd(tmp_path / "x.rrd", [Replay(episode.header, [steps[0], silent])])
     column = read(tmp_path / "x.rrd")["/maps/predicted:DepthImage:buffer"]
     assert len(column[0]) == 1
     assert column[1] == []
@@ -261,13 +258,13 @@ def test_two_episodes_share_a_recording_under_two_roots(
     path = tmp_path / "two.rrd"
     recording = rr.RecordingStream("two")
     recording.save(path)
-    send_episode(recording, episode.header, steps, root="/A")
-    send_episode(recording, episode.header, steps[:5], root="/B")
+    send_episode(recording, Replay(episode.header, steps), "/A", "A first")
+    send_episode(recording, Replay(episode.header, steps[:5]), "/B", "B second")
     recording.flush()
     recording.disconnect()
     recorded = read(path)
-    assert len(recorded["/A/maps/fused:SegmentationImage:buffer"]) == len(steps)
-    assert len(recorded["/B/maps/fused:SegmentationImage:buffer"]) == 5
+    assert max(recorded["/A/agent/position:Points2D:positions"]) == len(steps) - 1
+    assert max(recorded["/B/agent/position:Points2D:positions"]) == 4
 
 
 def view_names(path: Path) -> set[str]:
@@ -286,14 +283,14 @@ def view_names(path: Path) -> set[str]:
 def test_the_file_holds_its_layout(saved: Path) -> None:
     assert view_names(saved) == {
         "Observed", "Predicted P(wall)", "Fused", "Error of fused", "Truth",
-        "F1 and coverage", "Events", "Episode",
+        "Scores", "Events", "Episode", "Decision", "State", "Legend",
     }  # fmt: skip
 
 
 def test_without_a_predictor_nothing_is_left_empty(tmp_path: Path) -> None:
     config = EpisodeConfig(planner="nearest", predictor="none", max_steps=3)
     episode = prepare_episode(config, plan(HOUSE))
-    save_rrd(tmp_path / "x.rrd", episode.header, run_episode(episode))
+    save_rrd(tmp_path / "x.rrd", [Replay(episode.header, run_episode(episode))])
     recorded = read(tmp_path / "x.rrd")
     assert "Predicted P(wall)" not in view_names(tmp_path / "x.rrd")
     assert "/maps/predicted:DepthImage:buffer" not in recorded
@@ -310,9 +307,9 @@ def test_a_file_is_only_overwritten_by_force(
     path = tmp_path / "x.rrd"
     path.write_text("precious")
     with pytest.raises(LogError, match="already there; use --force"):
-        save_rrd(path, episode.header, steps)
+        save_rrd(path, [Replay(episode.header, steps)])
     assert path.read_text() == "precious"
-    save_rrd(path, episode.header, steps, force=True)
+    save_rrd(path, [Replay(episode.header, steps)], force=True)
     assert len(read(path)["/events:TextLog:text"]) > 0
 
 
@@ -324,7 +321,7 @@ def test_a_file_is_written_whole_or_not_at_all(
         raise LogError("x.mcap: damaged")
 
     with pytest.raises(LogError, match="damaged"):
-        save_rrd(tmp_path / "x.rrd", episode.header, damaged())
+        save_rrd(tmp_path / "x.rrd", [Replay(episode.header, damaged())])
     assert list(tmp_path.iterdir()) == []
 
 
@@ -332,10 +329,10 @@ def test_a_file_that_cannot_be_written_is_a_clear_error(
     episode: Episode, steps: list[Step], tmp_path: Path
 ) -> None:
     with pytest.raises(LogError, match=r"x\.rrd: cannot be written \(No such file or directory\)"):
-        save_rrd(tmp_path / "nowhere" / "x.rrd", episode.header, steps)
+        save_rrd(tmp_path / "nowhere" / "x.rrd", [Replay(episode.header, steps)])
     (tmp_path / "folder").mkdir()
     with pytest.raises(LogError, match=r"folder: cannot be written \(Is a directory\)"):
-        save_rrd(tmp_path / "folder", episode.header, steps, force=True)
+        save_rrd(tmp_path / "folder", [Replay(episode.header, steps)], force=True)
 
 
 @pytest.mark.parametrize(
@@ -365,7 +362,7 @@ def test_without_a_display_nothing_is_started(
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(rerun_view, "_viewer", lambda *_: pytest.fail("a viewer was started"))
     with pytest.raises(UsageError, match="no display"):
-        rerun_view.open_viewer(episode.header, steps)
+        rerun_view.open_viewer([Replay(episode.header, steps)])
     with pytest.raises(UsageError, match="no display"):
         LiveView(episode.header)
 
@@ -374,7 +371,7 @@ def test_without_a_display_nothing_is_started(
 def test_the_web_viewer_is_served_to_this_machine_only(
     episode: Episode, steps: list[Step], tmp_path: Path
 ) -> None:
-    with serve_web(episode.header, steps) as server:
+    with serve_web([Replay(episode.header, steps)]) as server:
         process = psutil.Process(server._process.pid)
         page = urllib.request.urlopen(server.address, timeout=5)
         with page:
@@ -385,7 +382,7 @@ def test_the_web_viewer_is_served_to_this_machine_only(
         with pytest.raises(UsageError, match="cannot be used"):
             WebServer(grpc_port=int(server._grpc_address.split(":")[-1].split("/")[0]))
     assert not process.is_running()
-    assert len(received["/maps/fused:SegmentationImage:buffer"]) == len(steps)
+    assert len(received["/agent/position:Points2D:positions"]) == len(steps)
 
 
 @pytest.mark.filterwarnings("ignore:RRD file has no footer")  # the client is stopped
@@ -396,9 +393,9 @@ def test_a_viewer_that_is_open_is_used_again(
     with WebServer() as server:  # listens as a viewer does
         monkeypatch.setattr(rerun_view, "_viewer", lambda *_: pytest.fail("a second one"))
         port = int(server._grpc_address.split(":")[-1].split("/")[0])
-        rerun_view.open_viewer(episode.header, steps, port)
+        rerun_view.open_viewer([Replay(episode.header, steps)], port)
         received = receive(server._grpc_address, tmp_path / "got.rrd")
-    assert len(received["/maps/fused:SegmentationImage:buffer"]) == len(steps)
+    assert len(received["/agent/position:Points2D:positions"]) == len(steps)
 
 
 def test_nothing_is_sent_to_what_is_not_a_viewer(
@@ -408,7 +405,7 @@ def test_nothing_is_sent_to_what_is_not_a_viewer(
     with socket.create_server(("127.0.0.1", 0)) as deaf:
         port = deaf.getsockname()[1]
         with pytest.raises(UsageError, match=f"port {port} is used"):
-            rerun_view.open_viewer(episode.header, steps, port)
+            rerun_view.open_viewer([Replay(episode.header, steps)], port)
 
 
 def receive(address: str, path: Path) -> Recorded:
@@ -567,6 +564,10 @@ def test_agent_and_frontier_are_seen_on_their_cells(
         assert step.decision is not None
         assert is_at(step.agent, AGENT_COLOUR)
         covered = {tuple(cell) for cell in step.decision.path.tolist()}
+        rivals = {rival.cell for rival in step.decision.rivals} - covered
+        assert rivals
+        assert all(is_at(cell, RIVALS_COLOUR) for cell in rivals)
+        covered |= rivals
         free = [cell for cell in step.frontier.tolist() if tuple(cell) not in covered]
         assert free
         assert all(is_at(cell, FRONTIER_COLOUR) for cell in free)

@@ -90,16 +90,16 @@ def test_predictions_of_any_type_are_shown_in_256_levels(
     [
         (
             {},
-            "went to (12, 40): utility 3.2 = gain 48.0 / (1 + 14.0); runner-up (30, 8) 2.9",
+            "went to (12, 40): utility 3.20 = gain 48.0 / (1 + 14.0); runner-up (30, 8) 2.90",
         ),
-        ({"rivals": False}, "went to (12, 40): utility 3.2 = gain 48.0 / (1 + 14.0)"),
+        ({"rivals": False}, "went to (12, 40): utility 3.20 = gain 48.0 / (1 + 14.0)"),
         (
             {"utility": 7.0, "rivals": False},  # a plug-in's, which weighs in another way
-            "went to (12, 40): utility 7, gain 48.0, 14.0 cells away",
+            "went to (12, 40): utility 7.00, gain 48.0, 14.0 cells away",
         ),
         (
             {"mode": Mode.FAIL_SAFE, "rivals": False},
-            "went to (12, 40) by the fail-safe: utility 3.2 = gain 48.0 / (1 + 14.0)",
+            "went to (12, 40) by the fail-safe: utility 3.20 = gain 48.0 / (1 + 14.0)",
         ),
         ({"draw": 9}, "went to (12, 40): drawn at random, 14.0 cells away"),
         (
@@ -119,7 +119,7 @@ def test_a_decision_is_told_in_a_sentence(
 
 
 def test_the_last_step_tells_how_it_ended(steps: list[Step]) -> None:
-    assert decision_words(steps[-1]) == "out_of_steps after 8 steps"
+    assert decision_words(steps[-1]) == "out of steps after 8 steps"
     assert decision_words(replace(steps[0], decision=None)) == "no target is logged"
 
 

@@ -1,0 +1,126 @@
+"""What is to be shown of an episode, and what several episodes shown together are called."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from mapreplay.errors import UsageError
+from mapreplay.recorders.marks import Mark
+from mapreplay.recorders.palette import Curve
+from mapreplay.recorders.scene import first_parting
+from mapreplay.step import EpisodeHeader, Step
+
+if TYPE_CHECKING:
+    from mapreplay.recorders.log import EpisodeLog
+
+LETTERS: Final = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+
+Series = npt.NDArray[np.float64]
+"""float64[n]: a score at each step, NaN where undefined."""
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """An episode to be shown."""
+
+    header: EpisodeHeader
+    steps: Iterable[Step] = ()
+    """All steps in order, to be read once; none where only the scores are shown."""
+    marks: Sequence[Mark] = ()
+    profiled: bool = False
+    """Whether the steps have the time of each stage."""
+    scores: dict[Curve, Series] = field(default_factory=dict)
+    """Where only these are shown."""
+    parts_at: int | None = None
+    """The first step at which it differs from the first of those that it is shown with."""
+
+    @property
+    def has_maps(self) -> bool:
+        """Whether more than the scores is shown."""
+        return not self.scores
+
+    @classmethod
+    def of(cls, log: EpisodeLog, marks: Sequence[Mark] = ()) -> Self:
+        """All of a log, read when it is shown.
+
+        Raises:
+            LogError: the log is damaged.
+        """
+        profiled = len(log) > 0 and log[0].profile is not None
+        return cls(log.header, log.steps(), marks, profiled)
+
+    @classmethod
+    def scores_of(cls, log: EpisodeLog) -> Self:
+        """The scores of a log, without its maps.
+
+        Raises:
+            LogError: the log is damaged.
+        """
+        table = log.table()
+        return cls(
+            log.header,
+            scores={c: table[c.value].fill_null(float("nan")).to_numpy() for c in Curve},
+        )
+
+
+def replays_of(
+    logs: Sequence[EpisodeLog], marks: Sequence[Sequence[Mark]] = (), chosen: Sequence[int] = ()
+) -> list[Replay]:
+    """Logs to be shown together.
+
+    Args:
+        logs: at least one.
+        marks: of each log; none by default.
+        chosen: the numbers of those whose maps are shown; by default the first two.
+
+    Raises:
+        LogError: a log is damaged.
+    """
+    maps = list(chosen) or [0, 1]
+    replays = []
+    for number, log in enumerate(logs):
+        if number not in maps:
+            replays.append(Replay.scores_of(log))
+            continue
+        replay = Replay.of(log, marks[number] if marks else ())
+        if number != min(maps):
+            replay = replace(replay, parts_at=first_parting(logs[min(maps)], log))
+        replays.append(replay)
+    return replays
+
+
+def names_of(headers: Sequence[EpisodeHeader]) -> list[str]:
+    """What episodes that are shown together are called: a letter, and in what they differ.
+
+    ``A nearest observed-observed``, ``B cost-utility fused-fused``; the letter alone where
+    they differ in nothing.
+
+    Raises:
+        UsageError: there are more episodes than letters.
+    """
+    if len(headers) > len(LETTERS):
+        raise UsageError(
+            f"{len(headers)} episodes; at most {len(LETTERS)} are shown together: name some, or "
+            "choose with --where"
+        )
+    parts = [
+        (
+            header.floor_plan.id,
+            header.config.planner,
+            f"{header.config.plan_on}-{header.config.build}",
+            header.predictor.name,
+            "fail-safe" if header.config.fail_safe else "",
+            f"s{header.config.seed}",
+        )
+        for header in headers
+    ]
+    telling = [len(set(column)) > 1 for column in zip(*parts, strict=True)]
+    return [
+        " ".join([letter, *(p for p, tells in zip(part, telling, strict=True) if tells and p)])
+        for letter, part in zip(LETTERS, parts, strict=False)
+    ]

@@ -1,0 +1,187 @@
+"""What a Rerun recording says once: styles, the legend, the truth, the episode's description."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+import rerun as rr
+
+from mapreplay.recorders.legend import draw_legend, entries, lines_of
+from mapreplay.recorders.lettering import Sheet
+from mapreplay.recorders.marks import Mark
+from mapreplay.recorders.palette import (
+    AGENT_COLOUR,
+    CELL_COLOURS,
+    CURVE_COLOURS,
+    DARK,
+    EPISODE_COLOURS,
+    FRONTIER_COLOUR,
+    HITS_COLOUR,
+    PLAN_COLOUR,
+    RAYS_COLOUR,
+    RIVALS_COLOUR,
+    STATE_COLOURS,
+    CellClass,
+    Colour,
+    Curve,
+    State,
+)
+from mapreplay.recorders.replay import LETTERS, Replay
+from mapreplay.recorders.rerun_layout import (
+    LEGEND,
+    NOTE,
+    PAPER,
+    PARTING,
+    TIMELINE,
+    Entity,
+    curve_path,
+)
+from mapreplay.recorders.scene import COMPARED, curves, has_truth
+from mapreplay.step import EpisodeHeader
+
+_LEGEND_WIDTH: Final = 1240.0
+"""Points: the narrowest window that the layout is made for, less its margins."""
+_LEGEND_SCALE: Final = 2.0
+_THIN: Final = (Curve.PRECISION, Curve.RECALL)
+_SAME: Final = "same"
+_PARTED: Final = "parted"
+
+
+def send_static(
+    recording: rr.RecordingStream,
+    header: EpisodeHeader,
+    root: str,
+    name: str,
+    truth: npt.NDArray[np.uint8],
+) -> None:
+    """Send what holds for a whole episode; `truth` is uint8[H * W], its picture."""
+    height, width = header.floor_plan.shape
+    picture = rr.components.ImageFormat(
+        width=width, height=height, color_model="L", channel_datatype="U8"
+    )
+    line, cells = rr.LineStrips2D.from_fields, rr.SegmentationImage.from_fields
+    points = rr.Points2D.from_fields
+    entities: dict[Entity, rr.AsComponents] = {
+        Entity.MAPS: rr.AnnotationContext([(c, c.label, CELL_COLOURS[c]) for c in CellClass]),
+        Entity.OBSERVED: cells(format=picture, opacity=1.0),
+        Entity.FUSED: cells(format=picture, opacity=1.0),
+        Entity.PREDICTED: rr.DepthImage.from_fields(
+            format=picture, colormap="viridis", depth_range=[0, 255], meter=255.0
+        ),
+        # A negative radius is in points of the screen, so that it is seen on any map.
+        Entity.RAYS: line(colors=[RAYS_COLOUR], radii=[-0.6]),
+        Entity.HITS: points(colors=[HITS_COLOUR], radii=[0.3]),
+        Entity.TRAIL: line(colors=[AGENT_COLOUR], radii=[-1.2]),
+        Entity.FRONTIER: points(colors=[FRONTIER_COLOUR], radii=[0.4], draw_order=30.0),
+        Entity.PATH: line(colors=[PLAN_COLOUR], radii=[-1.2], draw_order=31.0),
+        Entity.RIVALS: points(
+            colors=[RIVALS_COLOUR], radii=[0.45], show_labels=False, draw_order=32.0
+        ),
+        Entity.TARGET: points(
+            colors=[PLAN_COLOUR], radii=[-4.5], show_labels=False, draw_order=33.0
+        ),
+        Entity.AGENT: points(colors=[AGENT_COLOUR], radii=[-4.5], draw_order=34.0),
+        Entity.STATE: rr.StateConfiguration(
+            values=[str(state) for state in State],
+            colors=[STATE_COLOURS[state] for state in State],
+        ),
+        Entity.DECISION: rr.TextDocument.from_fields(media_type="text/markdown"),
+        Entity.HEADER: rr.TextDocument(describe(header), media_type="text/markdown"),
+    }
+    if has_truth(header):
+        entities[Entity.TRUTH] = cells(buffer=truth, format=picture, opacity=1.0)
+        entities[Entity.ERROR] = cells(format=picture, opacity=1.0)
+    for entity, components in entities.items():
+        recording.log(entity.below(root), components, static=True)
+    for curve in COMPARED if name else curves(header):
+        style = compared_curve(root, name) if name else _curve_style(curve)
+        recording.log(curve_path(curve, root), style, static=True)
+
+
+def _curve_style(curve: Curve) -> rr.SeriesLines:
+    width = 1.0 if curve in _THIN else 2.0
+    return rr.SeriesLines(colors=[CURVE_COLOURS[curve]], names=[curve.label], widths=[width])
+
+
+def compared_curve(root: str, name: str) -> rr.SeriesLines:
+    """How the curve of an episode looks beside those of others."""
+    colour = EPISODE_COLOURS[LETTERS.index(root[-1]) % len(EPISODE_COLOURS)]
+    return rr.SeriesLines(colors=[colour], names=[name], widths=[2.0])
+
+
+def mark_style(mark: Mark, colour: Colour) -> rr.Boxes2D:
+    """How a mark looks; a hovered cell of it tells what it is."""
+    return rr.Boxes2D.from_fields(
+        colors=[colour], radii=[-1.2], labels=[f"{mark.name}: {mark.text}"], show_labels=False
+    )
+
+
+def send_legend(recording: rr.RecordingStream, replays: Sequence[Replay]) -> None:
+    """Send the legend of all maps, as a picture."""
+    marks = [mark for replay in replays for mark in replay.marks]
+    legend = entries([replay.header for replay in replays], marks)
+    theme = replace(DARK, paper=PAPER)
+    lines = lines_of(Sheet(1, 1, _LEGEND_SCALE, PAPER), _LEGEND_WIDTH, legend)
+    sheet = Sheet(_LEGEND_WIDTH + 20, 22.0 * lines, _LEGEND_SCALE, PAPER)
+    draw_legend(sheet, 10, 11, _LEGEND_WIDTH, legend, theme)
+    recording.log(LEGEND, rr.Image(sheet.picture), static=True)
+    recording.log(NOTE, rr.TextDocument("This episode has none."), static=True)
+
+
+def send_parting(recording: rr.RecordingStream, name: str, step: int | None) -> None:
+    """Send where an episode parts from the first one: a line through the curves, a band, an event.
+
+    Args:
+        recording: where to.
+        name: of the episode that parts.
+        step: the first step at which they differ; None if they never do.
+    """
+    path = f"{PARTING}/{name[:1]}"
+    style = rr.StateConfiguration(values=[_SAME, _PARTED], colors=[(120, 120, 120), PLAN_COLOUR])
+    recording.log(path, style, static=True)
+    changes = {0: _SAME} if step != 0 else {}
+    if step is not None:
+        changes[step] = _PARTED
+        index = rr.TimeColumn(TIMELINE, sequence=[step])
+        text = f"{name[:1]} parts from the first at step {step}"
+        recording.send_columns(f"{PARTING}/events", [index], rr.TextLog.columns(text=[text]))
+        at = f"{PARTING}/at/{name[:1]}"
+        line = rr.SeriesLines(
+            colors=[(150, 150, 150)],
+            names=[f"{name[:1]} parts here"],
+            widths=[1.5],
+            aggregation_policy=rr.components.AggregationPolicy.Off,
+        )
+        recording.log(at, line, static=True)
+        index = rr.TimeColumn(TIMELINE, sequence=[step, step])
+        recording.send_columns(at, [index], rr.Scalars.columns(scalars=[0.0, 1.0]))
+    index = rr.TimeColumn(TIMELINE, sequence=list(changes))
+    recording.send_columns(path, [index], rr.StateChange.columns(state=list(changes.values())))
+
+
+def describe(header: EpisodeHeader) -> str:
+    """The header as a Markdown document."""
+    config, plan = header.config, header.floor_plan
+    height, width = plan.shape
+    rows = {
+        "floor plan": plan.id,
+        "size": f"{height} x {width} cells of {plan.resolution:g} m",
+        "start (row, col)": f"{header.start.row}, {header.start.col}",
+        "planner": config.planner,
+        "predictor": header.predictor.name,
+        "plan on / build": f"{config.plan_on} / {config.build}",
+        "fail-safe": "on" if config.fail_safe else "off",
+        "target": f"coverage {config.coverage:g} of the {config.build} map",
+        "delta free / occupied": f"{config.delta_free:g} / {config.delta_occupied:g}",
+        "sensor": f"{config.rays} rays of {config.reach} cells",
+        "seed": str(config.seed),
+        "at most": f"{header.max_steps} steps",
+        "simulator": header.simulator,
+        **dict(header.versions),
+    }
+    heading, *rest = (f"| {key} | {value} |" for key, value in rows.items())
+    return "\n".join([heading, "|---|---|", *rest, ""])
