@@ -320,9 +320,9 @@ class Film:
         for row, episode in enumerate(self._episodes):
             y = area.y + row * _BAND
             for state, first, last in _runs(episode.states):
-                begin, end = float(self._x(area, first)), float(self._x(area, last))
+                begin, end = float(self._x(area, first)), float(self._x(area, last + 1))
                 if last == episode.last:
-                    end += 4.0  # the last state lasts one step
+                    end = max(end, begin + 4.0)  # the last state lasts one step
                 sheet.box(begin, y, end - begin, _BAND - 3, STATE_COLOURS[state])
             name = f"{self._names[row][:1]} state".strip()
             sheet.text(area.x + area.width + 10, y + 7, name, 11, self._theme.ink)

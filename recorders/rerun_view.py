@@ -337,7 +337,7 @@ def _new_recording(replays: Sequence[Replay], panes: Sequence[Pane]) -> rr.Recor
 def _viewer(*arguments: str) -> subprocess.Popen[bytes]:
     """Start the viewer's program, listening on loopback only: its default is every interface."""
     return subprocess.Popen(  # noqa: S603
-        [_executable(), f"--bind={LOOPBACK}", *arguments],
+        [viewer_program(), f"--bind={LOOPBACK}", *arguments],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -345,7 +345,7 @@ def _viewer(*arguments: str) -> subprocess.Popen[bytes]:
     )
 
 
-def _executable() -> Path:
+def viewer_program() -> Path:
     """The viewer itself: ending the launcher of the same name would leave it running."""
     spec = importlib.util.find_spec("rerun_cli")
     folder = Path(spec.origin).parent if spec and spec.origin else Path()

@@ -20,6 +20,7 @@ import rerun_cli
 from rerun.experimental import ViewerClient
 
 from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.replay import Replay
 from mapreplay.recorders.rerun_view import save_rrd
 
 NOTICES_SECONDS = 8
@@ -32,7 +33,7 @@ def screenshot(log: EpisodeLog, step: int) -> bytes:
     """The viewer at `step`, 1600 x 900 pixels, as PNG."""
     with tempfile.TemporaryDirectory() as folder, socket.socket() as probe:
         rrd = Path(folder) / "episode.rrd"
-        save_rrd(rrd, log.header, log.steps())
+        save_rrd(rrd, [Replay.of(log)])
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
         probe.close()

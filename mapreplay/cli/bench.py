@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -55,6 +56,29 @@ def sim(
             f"{median_rate(timings):.0f} steps/s, median of {len(timings)} episodes "
             f"({sum(t.steps for t in timings)} steps in {sum(t.seconds for t in timings):.1f} s)"
         )
+
+
+@bench_app.command()
+def view(
+    steps: Annotated[int, typer.Option(min=2, help="Of the episode, at most.")] = 1000,
+    size: Annotated[int, typer.Option(help="Cells a side: 64, 128, 256 or 512.")] = 128,
+    predictor: Annotated[str, typer.Option(help="d1, d2, or a .safetensors file.")] = "d1",
+    rounds: Annotated[int, typer.Option(min=1, help="Repetitions; the best is printed.")] = 3,
+    form: FormatOption = Format.TABLE,
+) -> None:
+    """From a log to what the viewer opens, beside Rerun's own importer: time and size."""
+    import polars as pl
+
+    from mapreplay.analysis.benchmark_view import floor_plan_of, measure_view, record_long
+    from mapreplay.predictors import load_predictor
+
+    with TemporaryDirectory() as folder:
+        log = Path(folder) / "episode.mcap"
+        plan = floor_plan_of(size)
+        count = record_long(log, plan, steps, load_predictor(predictor, "cpu"))
+        note(f"{count} steps of {size} x {size} cells, predictor {predictor}")
+        rows = [asdict(row) for row in measure_view(log, rounds)]
+    emit(pl.DataFrame(rows), "mapreplay.bench.view/1", form)
 
 
 @bench_app.command()

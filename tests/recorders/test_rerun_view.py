@@ -410,7 +410,14 @@ def test_nothing_is_sent_to_what_is_not_a_viewer(
 
 def receive(address: str, path: Path) -> Recorded:
     """What a client of the server gets: Rerun's own, which goes on listening until stopped."""
-    client = [rerun_view._executable(), "--bind=127.0.0.1", "--port=auto", address, "--save", path]
+    client = [
+        rerun_view.viewer_program(),
+        "--bind=127.0.0.1",
+        "--port=auto",
+        address,
+        "--save",
+        path,
+    ]
     with subprocess.Popen(client, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         sizes = [0]
         while len(sizes) < 100 and (sizes[-1] == 0 or sizes[-1] != sizes[-5:][0]):
