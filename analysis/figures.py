@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Any, Final
 
 from matplotlib import rc_context
@@ -64,6 +64,7 @@ def render(draw: Draw, size: tuple[float, float], theme: Theme = LIGHT, form: st
         "grid.linewidth": 0.6,
         "legend.frameon": False,
         "savefig.facecolor": theme.paper,
+        "svg.fonttype": "none",  # letters stay letters: small, and to be searched
         "svg.hashsalt": "mapreplay",
         "text.color": theme.ink,
         "xtick.color": theme.ink,
@@ -76,3 +77,10 @@ def render(draw: Draw, size: tuple[float, float], theme: Theme = LIGHT, form: st
         metadata = {"Date": None} if form == "svg" else {"Software": None}
         figure.savefig(file, format=form, dpi=150, metadata=metadata)
     return file.getvalue()
+
+
+def in_the_dark(svg: bytes) -> bytes:
+    """An SVG that was rendered for a light page, for a dark one."""
+    for light, dark in zip(astuple(LIGHT), astuple(DARK), strict=True):
+        svg = svg.replace(light.encode(), dark.encode())
+    return svg

@@ -16,8 +16,9 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from mapreplay.analysis.episodes import episode_row
-from mapreplay.analysis.reduction import Pair, mean_reduction, pair_episodes
+from mapreplay.analysis.comparison import Comparison, compare
+from mapreplay.analysis.corpus import read_episode
+from mapreplay.analysis.groups import group_episodes
 from mapreplay.recorders.log import find_logs
 
 FLOOR_PLANS = "procedural:60000-60004"
@@ -33,24 +34,28 @@ def mapreplay(*arguments: str) -> None:
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)  # noqa: S603 (our own words)
 
 
-def table(pairs: list[Pair]) -> Table:
+def table(comparison: Comparison) -> Table:
     """Both episodes of each floor plan side by side."""
     result = Table(
         "floor plan", "", "steps", "path m", "cover", "correct", "F1", "outcome", "saved",
         box=box.SIMPLE_HEAD, pad_edge=False, padding=0,
     )  # fmt: skip
-    for pair in pairs:
-        for label, row in (("observed", pair.reference), ("fused", pair.candidate)):
+    reference, candidate = comparison.groups
+    for i, place in enumerate(comparison.places):
+        times = [group.values["mapping time"][i] for group in comparison.groups]
+        for group in comparison.groups:
+            (episode,) = comparison.episodes[group.name][place]
+            row = episode.row
             result.add_row(
-                row.floor_plan if label == "observed" else "",
-                label,
+                row.floor_plan if group is reference else "",
+                row.build,
                 str(row.steps),
                 f"{row.path_length:.1f}",
                 f"{row.coverage:.3f}",
                 f"{row.correct:.3f}",
                 f"{row.f1:.3f}",
                 row.outcome,
-                f"{pair.reduction:.0%}" if label == "fused" else "",
+                f"{1 - times[1] / times[0]:.0%}" if group is candidate else "",
             )
     return result
 
@@ -60,22 +65,24 @@ def main() -> None:
     shutil.rmtree(OUT, ignore_errors=True)
     for name, options in (("observed", OBSERVED), ("fused", FUSED)):
         mapreplay("run", *options, "--floorplans", FLOOR_PLANS, "--out", f"{OUT}/{name}")
-    rows = {
-        name: [episode_row(path) for path in find_logs([OUT / name])]
-        for name in ("observed", "fused")
-    }
-    pairs = pair_episodes(rows["observed"], rows["fused"])
+    episodes = [read_episode(path) for path in find_logs([OUT])]
+    comparison = compare(group_episodes(episodes, ["build"]), "observed")
     console = Console(highlight=False)
     console.print("\nNearest Frontier on observations, Cost-Utility on predictions:\n")
-    console.print(table(pairs))
-    saved = mean_reduction(pairs)
+    console.print(table(comparison))
+    saved = comparison.savings[0].reduction
     console.print(
         f"Mean reduction of mapping time: {saved.mean:.0%} "
         f"(95 % interval {saved.low:.0%} to {saved.high:.0%}, {saved.plans} floor plans)."
     )
-    first = pairs[0].candidate.file
+    first = comparison.episodes["fused"][comparison.places[0]][0].path
     console.print(f"\nThe logs are in {OUT}. Next:", soft_wrap=True)
-    for line in (f"view {first}", f"info {first}", f"metrics {first}", f"ls {OUT}"):
+    for line in (
+        f"view {first}",
+        f"info {first}",
+        f"compare {OUT} --html runs/demo.html",
+        f"ls {OUT}",
+    ):
         console.print(f"  .venv/bin/mapreplay {line}", soft_wrap=True)
 
 

@@ -1,4 +1,4 @@
-"""Rows of episodes: conditions on them, and what a prediction was worth."""
+"""Rows of episodes, and conditions on them."""
 
 import dataclasses
 import math
@@ -7,7 +7,6 @@ import polars as pl
 import pytest
 
 from mapreplay.analysis.episodes import Condition, EpisodeRow, brief, episode_frame
-from mapreplay.analysis.reduction import mean_reduction, pair_episodes
 from mapreplay.errors import UsageError
 
 ROW = EpisodeRow(
@@ -63,21 +62,3 @@ def test_the_frame_has_its_columns_even_when_empty() -> None:
     both = brief(episode_frame([ROW, row(build="fused", floor_plan="f" * 32)]))
     assert both["maps"].to_list() == ["observed", "observed/fused"]
     assert both["floor_plan"].to_list() == ["p1", "f" * 15 + "…"]
-
-
-def test_reduction_is_one_minus_the_ratio_of_times() -> None:
-    pairs = pair_episodes([row()], [row(planner="cost-utility", mapping_time=40)])
-    assert pairs[0].reduction == pytest.approx(0.6)
-
-
-def test_a_target_that_was_not_reached_took_the_budget() -> None:
-    (pair,) = pair_episodes([row()], [row(mapping_time=None, outcome="sealed_in", steps=7)])
-    assert pair.reduction == 1 - 400 / 100
-
-
-def test_pairs_are_by_floor_plan_start_and_seed() -> None:
-    others = [row(floor_plan="p2"), row(seed=2), row(start_col=2)]
-    assert pair_episodes([row()], others) == []
-    both = pair_episodes([row(), row(floor_plan="p2")], [*others, row(mapping_time=50)])
-    assert [p.reference.floor_plan for p in both] == ["p1", "p2"]
-    assert mean_reduction(both).mean == pytest.approx((0.5 + 0.0) / 2)

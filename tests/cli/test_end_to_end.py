@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from commands import Run
-from mapreplay.analysis.episodes import episode_row
-from mapreplay.analysis.reduction import pair_episodes
+from mapreplay.analysis.corpus import pair, read_episode
 from mapreplay.grid import FREE, UNKNOWN
 from mapreplay.recorders.log import EpisodeLog, find_logs
 
@@ -22,11 +21,11 @@ def do_the_main_job(cli: Run, folder: Path, *source: object) -> None:
         ran = cli("run", *options, *source, "--out", folder / name)
         assert ran.code == 0, ran.err
     (observed,), (fused,) = find_logs([folder / "observed"]), find_logs([folder / "fused"])
-    (pair,) = pair_episodes([episode_row(observed)], [episode_row(fused)])
-    assert pair.reference.outcome == pair.candidate.outcome == "mapped"
-    assert pair.candidate.coverage >= 0.98
-    assert pair.candidate.correct > 0.9
-    assert pair.candidate.f1 > 0.9
+    ((reference, candidate),) = pair([read_episode(observed)], [read_episode(fused)]).pairs
+    assert reference.row.outcome == candidate.row.outcome == "mapped"
+    assert candidate.row.coverage >= 0.98
+    assert candidate.row.correct > 0.9
+    assert candidate.row.f1 > 0.9
 
     log = EpisodeLog(fused)
     truth = log.header.floor_plan.cells
@@ -39,7 +38,7 @@ def do_the_main_job(cli: Run, folder: Path, *source: object) -> None:
 
     assert cli("metrics", folder).code == 0
     listed = json.loads(cli("ls", folder, "--format", "json").out)["rows"]
-    assert [row["steps"] for row in listed] == [pair.candidate.steps, pair.reference.steps]
+    assert [row["steps"] for row in listed] == [candidate.row.steps, reference.row.steps]
     assert cli("info", fused).code == 0
     assert cli("view", fused, "--save", folder / "fused.rrd").code == 0
     assert cli("export", fused, "--npz", folder / "f.npz", "--png", folder / "maps").code == 0

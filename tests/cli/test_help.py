@@ -21,6 +21,7 @@ VERBS = [
     "metrics",
     "branch",
     "diagnose",
+    "compare",
     "diff",
     "whatif",
     "verify",

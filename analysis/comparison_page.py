@@ -1,0 +1,249 @@
+"""A comparison as one HTML page: the answer, figures, tables, and the floor plans to look at."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from mapreplay.analysis import page
+from mapreplay.analysis.comparison import (
+    MEASURES,
+    TIME,
+    Comparison,
+    Effect,
+    GroupResult,
+    Saving,
+)
+from mapreplay.analysis.comparison_figures import CoverageFigure, IncidenceFigure, PairsFigure
+from mapreplay.analysis.corpus import LoggedEpisode
+from mapreplay.analysis.diff_folders import view_command
+from mapreplay.analysis.figures import Draw, in_the_dark, render
+from mapreplay.analysis.wording import p_value, percent, with_interval
+from mapreplay.config import MapKind
+from mapreplay.floorplans.preview import encode_png
+from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.picture import MapPainter
+from mapreplay.recorders.scene import MapView
+
+EACH: Final = 2
+"""Worst and best floor plans that are shown, of each group."""
+MOST_GROUPS: Final = 3
+"""Groups whose floor plans are shown."""
+PIXELS: Final = 320
+"""Side of a map's picture."""
+
+
+def comparison_page(comparison: Comparison) -> page.Page:
+    """The page of a comparison.
+
+    Raises:
+        LogError: a log that is pictured can no longer be read.
+    """
+    groups = comparison.groups
+    title = " against ".join(group.name for group in groups[::-1])
+    if len(groups) > 2:
+        title = f"{len(groups)} groups by {', '.join(comparison.by)}"
+    blocks: list[page.Block] = list(_headlines(comparison))
+    blocks += [page.Note(line) for line in comparison.notes]
+    blocks += [
+        page.Heading("Coverage and time"),
+        page.Columns(
+            [
+                _figure(CoverageFigure(comparison), 4.0, "Coverage of the map under construction",
+                        "Median over floor plans and the quartiles around it; who has ended keeps "
+                        "the map that it had. Dotted: the target."),
+                _figure(CoverageFigure(comparison, correct=True), 4.0, "Correct coverage",
+                        "The same of cells that are known and right."),
+                _figure(IncidenceFigure(comparison), 4.0, "Cumulative share of floor plans mapped",
+                        "Being sealed in is a competing event: who never arrives stays below. "
+                        "Bands: 95 % Wilson intervals."),
+                _figure(PairsFigure(comparison), PairsFigure(comparison).height,
+                        "Mapping times of each floor plan",
+                        "Who did not reach the target is drawn hollow, at its whole budget."),
+            ],
+            wide=True,
+        ),
+        page.Heading("Groups"),
+        _groups_table(comparison),
+    ]  # fmt: skip
+    if comparison.effects:
+        blocks += [
+            page.Heading(f"Against {comparison.baseline}"),
+            page.Paragraph(
+                "Mean paired differences over floor plans with 95 % BCa bootstrap intervals; p by "
+                f"the {comparison.effects[0].test.name} test, and corrected for all tests (Holm)."
+            ),
+            _effects_table(comparison.effects),
+            *(page.Paragraph(_success(s, comparison)) for s in comparison.savings),
+        ]
+    for saving in comparison.savings[:MOST_GROUPS]:
+        blocks += _extremes(comparison, saving.group)
+    blocks += [page.Heading("Every floor plan"), _plans_table(comparison)]
+    return page.Page(title, _lead(comparison), blocks, "Made by mapreplay compare.")
+
+
+def _lead(comparison: Comparison) -> str:
+    plans = len(comparison.places)
+    many = f"{plans} floor plan{'s' if plans != 1 else ''}"
+    if not comparison.savings:
+        (group, *_) = comparison.groups
+        return (
+            f"{group.name} on {many}: mapping time {with_interval(group.estimates[TIME], 0)} steps."
+        )
+    saving = comparison.savings[0]
+    return (
+        f"On {many} {saving.group} reduced the mapping time of {comparison.baseline} by "
+        f"{percent(saving.reduction)}."
+    )
+
+
+def _headlines(comparison: Comparison) -> Iterator[page.Block]:
+    numbers = [
+        (f"{100 * saving.reduction.mean:.0f} %", f"less mapping time: {saving.group}")
+        for saving in comparison.savings[:MOST_GROUPS]
+    ]
+    for group in comparison.groups[:MOST_GROUPS]:
+        success = group.success
+        numbers.append((f"{success.count} of {success.plans}", f"floor plans mapped: {group.name}"))
+    yield page.Numbers(numbers)
+
+
+def _figure(draw: Draw, height: float, alt: str, caption: str) -> page.Picture:
+    svg = render(draw, (6.0, height))
+    return page.Picture(svg, alt, caption, in_the_dark(svg))
+
+
+def _groups_table(comparison: Comparison) -> page.Table:
+    head = ["group", "runs", *dict(comparison.groups[0].outcomes), *_measure_names()]
+    rows = [
+        [
+            group.name,
+            group.episodes,
+            *dict(group.outcomes).values(),
+            *(with_interval(group.estimates[m.name], m.digits) for m in MEASURES),
+        ]
+        for group in comparison.groups
+    ]
+    return page.Table(
+        [name.replace("_", " ") for name in head],
+        rows,
+        "Means over floor plans with 95 % intervals; the mapping time is restricted to the budget.",
+        right=range(5, 5 + len(MEASURES)),
+    )
+
+
+def _measure_names() -> list[str]:
+    return [f"{m.name}, {m.unit}" if m.unit != "1" else m.name for m in MEASURES]
+
+
+def _effects_table(effects: tuple[Effect, ...]) -> page.Table:
+    digits = {measure.name: measure.digits for measure in MEASURES}
+    rows = [
+        [
+            effect.group,
+            effect.measure,
+            with_interval(effect.difference, digits[effect.measure]),
+            effect.difference.plans,
+            p_value(effect.test.p),
+            p_value(effect.p_holm),
+        ]
+        for effect in effects
+    ]
+    head = ["group", "measure", "difference", "floor plans", "p", "p (Holm)"]
+    return page.Table(head, rows, right=[2, 4, 5])
+
+
+def _success(saving: Saving, comparison: Comparison) -> str:
+    m = saving.success
+    return (
+        f"Reduction of mapping time, {saving.group}: {percent(saving.reduction)}; on the "
+        f"{saving.both.plans} floor plans that both mapped {percent(saving.both)}. Mapped by it "
+        f"alone: {m.only_candidate}, by {comparison.baseline} alone: {m.only_reference} "
+        f"(McNemar, exact: p {p_value(m.p)}, Holm {p_value(saving.success_p_holm)})."
+    )
+
+
+def _extremes(comparison: Comparison, name: str) -> Iterator[page.Block]:
+    """The floor plans on which a group did worst and best against the baseline."""
+    reference, group = (
+        next(g for g in comparison.groups if g.name == n) for n in (comparison.baseline, name)
+    )
+    gain = 1 - group.values[TIME] / np.maximum(reference.values[TIME], 1)
+    order = np.argsort(gain, kind="stable").tolist()
+    worst = order[: min(EACH, (len(order) + 1) // 2)]
+    best = [i for i in order[::-1][:EACH] if i not in worst]
+    for title, chosen in (("worst", worst), ("best", best)):
+        if not chosen:
+            continue
+        yield page.Heading(f"Where {name} did {title}")
+        for i in chosen:
+            yield _card(comparison, reference, group, i, float(gain[i]))
+
+
+def _card(
+    comparison: Comparison, reference: GroupResult, group: GroupResult, i: int, gain: float
+) -> page.Card:
+    place = comparison.places[i]
+    pictures: list[page.Block] = []
+    shown = []
+    for result in (reference, group):
+        episode = comparison.episodes[result.name][place][0]
+        shown.append(episode)
+        pictures += _pictures(result.name, episode)
+    files = [episode.path for episode in shown]
+    last = min(max(episode.row.steps, 0) for episode in shown)
+    times = " and ".join(f"{r.name} {r.values[TIME][i]:.0f}" for r in (reference, group))
+    sentence = f"Mapping time in steps: {times}; reduction {100 * gain:.0f} %."
+    return page.Card(
+        [
+            page.Heading(comparison.floor_plans[i], 3),
+            page.Paragraph(sentence),
+            page.Columns(pictures),
+            page.Command(shlex.join(view_command(files[0], files[1], last))),
+        ]
+    )
+
+
+def _pictures(name: str, episode: LoggedEpisode) -> list[page.Block]:
+    """The map that an episode ended with, and what is wrong in it."""
+    log = EpisodeLog(episode.path)
+    if len(log) == 0:
+        return []
+    step = log[-1]
+    track = log.table().select("row", "col").to_numpy().astype(np.int32)
+    painter = MapPainter.of(log.header)
+    built = MapView.FUSED if log.header.config.build is MapKind.FUSED else MapView.OBSERVED
+    views = [(built, f"{name}: built map after {step.index} steps, {episode.row.outcome}")]
+    if log.header.floor_plan.has_truth:
+        views.append((MapView.ERROR, f"{name}: what is wrong in its fused map"))
+    return [
+        page.Picture(
+            encode_png(painter.draw(view, step, PIXELS, PIXELS, track=track)[..., ::-1]),
+            caption,
+            caption,
+            pixelated=True,
+        )
+        for view, caption in views
+    ]
+
+
+def _plans_table(comparison: Comparison) -> page.Block:
+    head = ["floor plan"]
+    for group in comparison.groups:
+        head += [f"{group.name}: steps", "F1"]
+    if len(comparison.groups) == 2:
+        head.append("reduction")
+    rows: list[list[page.Value]] = []
+    for i, name in enumerate(comparison.floor_plans):
+        row: list[page.Value] = [name]
+        for group in comparison.groups:
+            row += [round(float(group.values[TIME][i]), 1), float(group.values["F1"][i])]
+        if len(comparison.groups) == 2:
+            reference, other = (g.values[TIME][i] for g in comparison.groups)
+            row.append(f"{100 * (1 - other / max(reference, 1)):.0f} %")
+        rows.append(row)
+    table = page.Table(head, rows, right=[len(head) - 1])
+    return page.Details(f"{len(rows)} floor plans", [table])

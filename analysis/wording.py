@@ -1,0 +1,34 @@
+"""Numbers of statistics in words, the same in a terminal and on a page."""
+
+from __future__ import annotations
+
+from mapreplay.analysis.statistics import Estimate
+
+UNDEFINED = "-"
+
+
+def with_interval(estimate: Estimate, digits: int) -> str:
+    """``238.5 (211.9 to 293.8)``; without an interval the mean alone."""
+    if estimate.mean != estimate.mean:
+        return UNDEFINED
+    mean = f"{estimate.mean:.{digits}f}"
+    if estimate.low != estimate.low:
+        return mean
+    return f"{mean} ({estimate.low:.{digits}f} to {estimate.high:.{digits}f})"
+
+
+def percent(estimate: Estimate) -> str:
+    """``47.1 % (32.8 to 53.8 %)``; without an interval the mean alone."""
+    if estimate.mean != estimate.mean:
+        return "an undefined share"
+    mean = f"{100 * estimate.mean:.1f} %"
+    if estimate.low != estimate.low:
+        return mean
+    return f"{mean} ({100 * estimate.low:.1f} to {100 * estimate.high:.1f} %)"
+
+
+def p_value(p: float) -> str:
+    """Two digits, and no more zeros than one can read."""
+    if p != p:
+        return UNDEFINED
+    return f"{p:.2g}" if p >= 0.0001 else "<0.0001"

@@ -1,0 +1,166 @@
+"""`mapreplay compare`: which group is better on the same floor plans, and how sure that is."""
+
+from __future__ import annotations
+
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+import typer
+
+from mapreplay.cli.logs import PathsArgument, WhereOption, read_episodes
+from mapreplay.cli.output import (
+    LOST,
+    Command,
+    ForceOption,
+    Format,
+    FormatOption,
+    OutputOption,
+    emit,
+    note,
+    write_file,
+)
+from mapreplay.errors import UsageError
+
+if TYPE_CHECKING:
+    import polars as pl
+
+    from mapreplay.analysis.comparison import Comparison, Effect
+
+
+GROUP_WIDTH: Final = 20
+"""Columns of a group's name in a table."""
+
+
+def compare(
+    paths: PathsArgument,
+    by: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="planner, predictor, maps, thresholds, configuration, or any key of it; can be "
+            "repeated."
+        ),
+    ] = None,
+    baseline: Annotated[
+        str | None, typer.Option(help="The group that others are compared with.")
+    ] = None,
+    where: WhereOption = None,
+    target: Annotated[
+        float | None, typer.Option(help="Coverage that counts as mapped (default: as it was run).")
+    ] = None,
+    budget: Annotated[
+        int | None, typer.Option(help="Steps that all may take (default: as it was run).")
+    ] = None,
+    test: Annotated[str, typer.Option(help="sign-flip or wilcoxon.")] = "sign-flip",
+    plot: Annotated[
+        Path | None, typer.Option(help="Draw the figures into this .png or .svg.")
+    ] = None,
+    html: Annotated[
+        Path | None, typer.Option(help="Write a self-contained page with everything.")
+    ] = None,
+    form: FormatOption = Format.TABLE,
+    output: OutputOption = None,
+    force: ForceOption = False,
+) -> None:
+    """Compare groups of episodes on the same floor plans.
+
+    Pairs by floor plan, start and seed; a failure takes the whole budget. Differences from the
+    baseline with 95 % intervals over floor plans, and tests corrected for their number (Holm).
+    """
+    if plot is not None and plot.suffix not in {".png", ".svg"}:
+        raise UsageError(f"--plot {plot}: should end in .png or .svg")
+    from mapreplay.analysis import comparison as of
+    from mapreplay.analysis.groups import group_episodes
+    from mapreplay.analysis.pool import default_jobs
+    from mapreplay.recorders.log import find_logs
+
+    jobs = default_jobs(len(find_logs(paths)) // 8)  # a log takes a few milliseconds
+    episodes, unreadable = read_episodes(paths, where, jobs)
+    if not episodes:
+        return
+    grouping = group_episodes(episodes, by or ["planner"])
+    result = of.compare(grouping, baseline, budget=budget, target=target, test=test)
+    if plot is not None:
+        from mapreplay.analysis.comparison_figures import Overview
+        from mapreplay.analysis.figures import render
+
+        overview = Overview(result)
+        write_file(plot, render(overview, overview.size, form=plot.suffix[1:]), force=force)
+        note(f"drawn: {plot}")
+    if html is not None:
+        from mapreplay.analysis.comparison_page import comparison_page
+
+        write_file(html, comparison_page(result).html().encode(), force=force)
+        note(f"written: {html}")
+    emit(of.comparison_frame(result), "mapreplay.compare/1", form, output, text=_text(result),
+         force=force)  # fmt: skip
+    if unreadable:
+        raise typer.Exit(LOST)
+
+
+def _text(result: Comparison) -> list[str | Command | pl.DataFrame]:
+    import polars as pl
+
+    from mapreplay.analysis.wording import p_value, percent
+
+    plans = len(result.places)
+    by = ", ".join(result.by)
+    shown: list[str | Command | pl.DataFrame] = [
+        f"{len(result.groups)} groups by {by}, {plans} floor plans, target {result.target}",
+        pl.DataFrame(
+            {
+                "group": [textwrap.fill(group.name, GROUP_WIDTH) for group in result.groups],
+                "runs": [group.episodes for group in result.groups],
+                **{
+                    outcome.split("_")[0]: [dict(g.outcomes)[outcome] for g in result.groups]
+                    for outcome in dict(result.groups[0].outcomes)
+                },
+                **{
+                    short: [group.estimates[measure].mean for group in result.groups]
+                    for short, measure in (
+                        ("time", "mapping time"), ("path m", "path to target"), ("F1", "F1"),
+                        ("correct", "correct coverage"), ("area", "coverage area"),
+                    )
+                },
+            }
+        ).with_columns(pl.col(pl.Float64).fill_nan(None)),
+    ]  # fmt: skip
+    for saving in result.savings:
+        effects = [effect for effect in result.effects if effect.group == saving.group]
+        both = saving.both
+        shown += [
+            "",
+            f"{saving.group} against {result.baseline}: mapping time reduced by "
+            + percent(saving.reduction),
+        ]
+        if both.plans < plans:
+            shown.append(f"On the {both.plans} floor plans that both mapped: {percent(both)}")
+        shown.append(_against(effects))
+        m = saving.success
+        if m.only_candidate or m.only_reference:
+            sure = f"p {p_value(m.p)}, Holm {p_value(saving.success_p_holm)}"
+            shown.append(
+                f"Mapped by {saving.group} alone: {m.only_candidate}, by {result.baseline} alone: "
+                f"{m.only_reference} (McNemar, exact: {sure})"
+            )
+    if result.all_alike is not None:
+        shown += ["", f"Friedman's test of the mapping times: p {p_value(result.all_alike.p)}"]
+    if result.notes:
+        shown += ["", *(f"- {line}" for line in result.notes)]
+    return shown
+
+
+def _against(effects: list[Effect]) -> pl.DataFrame:
+    import polars as pl
+
+    return pl.DataFrame(
+        {
+            "difference": [e.measure for e in effects],
+            "mean": [e.difference.mean for e in effects],
+            "from": [e.difference.low for e in effects],
+            "to": [e.difference.high for e in effects],
+            "plans": [e.difference.plans for e in effects],
+            "p": [e.test.p for e in effects],
+            "p Holm": [e.p_holm for e in effects],
+        }
+    ).with_columns(pl.col(pl.Float64).fill_nan(None))
