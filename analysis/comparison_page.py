@@ -118,7 +118,7 @@ def _figure(draw: Draw, height: float, alt: str, caption: str) -> page.Picture:
 
 def _groups_table(comparison: Comparison) -> page.Table:
     head = ["group", "runs", *dict(comparison.groups[0].outcomes), *_measure_names()]
-    rows = [
+    rows: list[list[page.Value]] = [
         [
             group.name,
             group.episodes,
@@ -141,7 +141,7 @@ def _measure_names() -> list[str]:
 
 def _effects_table(effects: tuple[Effect, ...]) -> page.Table:
     digits = {measure.name: measure.digits for measure in MEASURES}
-    rows = [
+    rows: list[list[page.Value]] = [
         [
             effect.group,
             effect.measure,

@@ -106,7 +106,7 @@ def _text(result: Comparison) -> list[str | Command | pl.DataFrame]:
     plans = len(result.places)
     by = ", ".join(result.by)
     shown: list[str | Command | pl.DataFrame] = [
-        f"{len(result.groups)} groups by {by}, {plans} floor plans, target {result.target}",
+        f"Groups by {by}: {len(result.groups)}. Floor plans: {plans}. Target: {result.target}.",
         pl.DataFrame(
             {
                 "group": [textwrap.fill(group.name, GROUP_WIDTH) for group in result.groups],
