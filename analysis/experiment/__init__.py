@@ -1,0 +1,1 @@
+"""The paper's experiment: which episodes, running them, and what they say."""
