@@ -1,0 +1,127 @@
+"""The table, on rows whose answer can be seen."""
+
+import math
+
+import pytest
+
+from experiments import ROW
+from mapreplay.analysis.experiment.rows import Row
+from mapreplay.analysis.experiment.table import (
+    Summary,
+    brief_frame,
+    plan_reductions,
+    summarize,
+    summary_frame,
+)
+
+
+def fused(**changes: object) -> Row:
+    """Nearest Frontier on predictions."""
+    return ROW(plan_on="fused", build="fused", predictor="d1", sha256="ab", **changes)
+
+
+ROWS = [
+    *(ROW(floor_plan=p, mapping_time=t, steps=t) for p, t in [("a", 100), ("b", 200), ("c", 300)]),
+    fused(floor_plan="a", mapping_time=50, steps=50),
+    fused(floor_plan="b", mapping_time=50, steps=50),
+    fused(
+        floor_plan="c", mapping_time=None, steps=30, outcome="sealed_in", sealed_step=30, budget=600
+    ),
+]
+
+
+def find(summaries: list[Summary], maps: str) -> Summary:
+    (found,) = [s for s in summaries if s.arm.maps == maps]
+    return found
+
+
+def test_a_reduction_is_against_the_reference_on_the_same_floor_plan() -> None:
+    effects = plan_reductions(ROWS[3:], ROWS[:3])
+    assert effects == {"a": 0.5, "b": 0.75, "c": -1.0}  # c took its whole budget of 600
+
+
+def test_who_was_sealed_in_pays_the_budget_and_is_counted() -> None:
+    row = find(summarize(ROWS), "fused/fused")
+    assert row.mapping_time.mean == pytest.approx((50 + 50 + 600) / 3)
+    assert row.reduction.mean == pytest.approx((0.5 + 0.75 - 1) / 3)
+    assert row.reduction_finished.mean == pytest.approx((0.5 + 0.75) / 2)
+    assert row.reduction_finished.plans == 2
+    assert row.success.mean == pytest.approx(2 / 3)
+    assert row.sealed_in.mean == pytest.approx(1 / 3)
+    assert 0 < row.sealed_in.low < 1 / 3 < row.sealed_in.high < 1
+
+
+def test_the_reference_saves_nothing_and_certainly_so() -> None:
+    row = find(summarize(ROWS), "observed/observed")
+    assert (row.reduction.mean, row.reduction.low, row.reduction.high) == (0, 0, 0)
+    assert math.isnan(row.p)
+
+
+def test_no_share_is_certain_because_nothing_else_happened() -> None:
+    row = find(summarize(ROWS), "observed/observed")
+    assert row.success.mean == 1
+    assert row.success.low < 0.5  # three of three
+
+
+def test_runs_of_a_plan_count_as_one_plan() -> None:
+    runs = [
+        ROW(planner="random", floor_plan="a", seed=s, mapping_time=t)
+        for s, t in enumerate([100, 200, 300])
+    ]
+    runs += [ROW(planner="random", floor_plan="b", seed=0, mapping_time=400)]
+    summary = next(s for s in summarize([*ROWS, *runs]) if s.arm.planner == "random")
+    assert (summary.plans, summary.runs) == (2, 4)
+    assert summary.mapping_time.mean == 300  # of 200 and 400, not of four numbers
+    assert summary.reduction.mean == pytest.approx((-1 - 1) / 2)
+
+
+def test_a_plan_counts_as_finished_if_every_run_did() -> None:
+    runs = [
+        ROW(planner="random", floor_plan=p, seed=s, mapping_time=t)
+        for p, s, t in [("a", 0, 50), ("a", 1, None), ("b", 0, 100), ("b", 1, 100)]
+    ]
+    summary = next(s for s in summarize([*ROWS, *runs]) if s.arm.planner == "random")
+    assert summary.reduction_finished.plans == 1
+    assert summary.reduction_finished.mean == 0.5
+
+
+def test_without_a_reference_there_is_no_reduction() -> None:
+    (summary,) = summarize(ROWS[3:])
+    assert math.isnan(summary.reduction.mean)
+    assert brief_frame([summary])["saved"].item() == "-"
+
+
+def test_datasets_and_predictors_are_apart_and_planners_in_the_papers_order() -> None:
+    rows = [
+        *ROWS,
+        ROW(dataset="D2", planner="cost-utility"),
+        ROW(dataset="D2", planner="random"),
+        ROW(dataset="D2"),
+        fused(dataset="D2"),
+        ROW(dataset="D2", plan_on="fused", build="fused", predictor="always-free"),
+    ]
+    arms = [s.arm for s in summarize(rows)]
+    assert [(a.dataset, a.predictor, a.planner) for a in arms] == [
+        ("D1", "none", "nearest"),
+        ("D1", "d1", "nearest"),
+        ("D2", "none", "random"),
+        ("D2", "none", "nearest"),
+        ("D2", "none", "cost-utility"),
+        ("D2", "d1", "nearest"),
+        ("D2", "always-free", "nearest"),
+    ]
+
+
+def test_frames_have_an_interval_for_each_estimate() -> None:
+    frame = summary_frame(summarize(ROWS))
+    assert frame.height == 2
+    assert {"reduction", "reduction_low", "reduction_high", "p", "finished_plans"} <= set(
+        frame.columns
+    )
+    assert brief_frame(summarize(ROWS))["saved"][1].startswith("8% [")
+
+
+def test_undefined_scores_stay_undefined() -> None:
+    (summary,) = summarize([ROW(f1=math.nan)])
+    assert math.isnan(summary.f1.mean)
+    assert summary_frame([summary])["f1"].item() is None
