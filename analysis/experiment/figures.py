@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -23,6 +24,7 @@ from mapreplay.analysis.experiment.example import Example
 from mapreplay.analysis.experiment.rows import Row
 from mapreplay.analysis.experiment.table import (
     CONTROLS,
+    PAPER,
     PLANNERS,
     Arm,
     plan_reductions,
@@ -43,12 +45,6 @@ from mapreplay.recorders.palette import (
 from mapreplay.recorders.picture import MapPainter
 from mapreplay.recorders.scene import MapView
 
-PAPER: Final = {
-    ("D1", "nearest"): 0.68, ("D2", "nearest"): 0.55,
-    ("D1", "cost-utility"): 0.80, ("D2", "cost-utility"): 0.65,
-}  # fmt: skip
-"""What the paper reports for fused/fused on its own data: reduction of mapping time."""
-
 _FLOOR: Final = -1.0
 """Reductions below this are drawn here, and counted."""
 _MAPS: Final[dict[tuple[str, bool], tuple[str, Colour]]] = {
@@ -65,7 +61,6 @@ _PLANNER_NAMES: Final = {
 _CURVES: Final = {
     "raw": ("prediction, p ≥ .5", BLUE),
     "thresholded": ("prediction, thresholded", VERMILION),
-    "fused": ("thresholded, with the observations", ORANGE),
     "observed": ("observations alone", GREY),
 }
 
@@ -226,7 +221,8 @@ def _distance_panel(axes: Axes, data: CurveData, total: PredictionCounts) -> Non
 
 def example_figure(example: Example) -> Figure:
     """Observed, predicted, fused and true map at the end of an episode, with the way there."""
-    painter, step = MapPainter.of(example.log.header), example.last
+    painter = MapPainter.of(example.log.header)
+    step = replace(example.last, frontier=np.empty((0, 2), np.int32))  # nobody goes there any more
     titles = {
         MapView.OBSERVED: f"observed: {100 * example.exposure_observed:.0f} % exposed",
         MapView.PREDICTED: "predicted P(wall)",

@@ -1,0 +1,229 @@
+"""From the data of an experiment to its tables and figures, as often as one likes.
+
+A results folder holds the data: ``rows.jsonl`` (one episode a line), ``curve-<dataset>.npz``,
+``example.mcap``, and the same for ``sweep/`` and ``infill/``. What is made of it lies beside:
+``results.json``, ``table.parquet``, ``results.md`` and ``figures/``. A page of documentation has
+its generated parts between ``<!-- begin NAME -->`` and ``<!-- end NAME -->``; what stands around
+them is written by hand and left alone.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from matplotlib.figure import Figure
+
+from mapreplay.analysis.calibration import calibration_scores, decided, reliability
+from mapreplay.analysis.experiment import figures, markdown
+from mapreplay.analysis.experiment.curve import OBSERVATIONS, CurveData, load_curve
+from mapreplay.analysis.experiment.example import EXAMPLE_FILE, Example, read_example
+from mapreplay.analysis.experiment.rows import ROWS_FILE, Row, RowFile
+from mapreplay.analysis.experiment.sweep import INFILL_FOLDER, Setting, read_sweep
+from mapreplay.analysis.experiment.table import Summary, summarize, summary_frame
+from mapreplay.analysis.statistics import mean_interval
+from mapreplay.errors import MapreplayError
+
+SCHEMA: Final = "mapreplay.experiment/1"
+PAGE: Final = "results.md"
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """All data of a results folder; what was not measured is empty."""
+
+    rows: tuple[Row, ...]
+    summaries: tuple[Summary, ...]
+    curves: tuple[CurveData, ...]
+    example: Example | None
+    sweep: tuple[Setting, ...]
+    infill: tuple[Summary, ...]
+
+
+def read_results(folder: Path) -> Results:
+    """Read what there is.
+
+    Raises:
+        MapreplayError: no episode was finished there, or a file is damaged.
+    """
+    rows = RowFile(folder / ROWS_FILE).read()
+    sweep, infill = read_sweep(folder), RowFile(folder / INFILL_FOLDER / ROWS_FILE).read()
+    if not (rows or sweep or infill):
+        raise MapreplayError(f"{folder}: holds no finished episode of an experiment")
+    example = folder / EXAMPLE_FILE
+    return Results(
+        rows=tuple(rows),
+        summaries=tuple(summarize(rows)),
+        curves=tuple(load_curve(path) for path in sorted(folder.glob("curve-*.npz"))),
+        example=read_example(example) if example.exists() else None,
+        sweep=tuple(sweep),
+        infill=tuple(summarize(infill)),
+    )
+
+
+def write_report(folder: Path, docs: Path | None = None) -> list[Path]:
+    """Make all tables and figures of a results folder; returns the files written.
+
+    With `docs`, also the generated parts of ``results.md`` in that folder, and copies of the
+    figures in its ``figures/``.
+
+    Raises:
+        MapreplayError: there is nothing to report, a file is damaged, or `docs` has no page.
+    """
+    results = read_results(folder)
+    written = [folder / "results.json", folder / PAGE]
+    document = json.dumps(_finite(to_json(results)), indent=1) + "\n"
+    written[0].write_text(document, encoding="utf-8")
+    parts = blocks(results)
+    text = "\n\n".join(f"## {name.replace('-', ' ')}\n\n{part}" for name, part in parts.items())
+    written[1].write_text(text + "\n", encoding="utf-8")
+    if results.summaries:
+        written.append(folder / "table.parquet")
+        summary_frame(results.summaries).write_parquet(written[-1])
+    pictures = folder / "figures"
+    pictures.mkdir(exist_ok=True)
+    drawn = [
+        figures.save(figure, pictures / f"{name}.png") for name, figure in draw(results).items()
+    ]
+    written += drawn
+    if docs is not None:
+        written.append(update_page(docs / PAGE, parts))
+        (docs / "figures").mkdir(exist_ok=True)
+        for path in drawn:
+            shutil.copyfile(path, docs / "figures" / f"results-{path.name}")
+            written.append(docs / "figures" / f"results-{path.name}")
+    return written
+
+
+def blocks(results: Results) -> dict[str, str]:
+    """The generated parts by name, in Markdown."""
+    found: dict[str, str] = {}
+    if results.summaries:
+        found["paper"] = markdown.beside_the_paper(results.summaries)
+        found["performance"] = markdown.performance(results.summaries)
+        found["quality"] = markdown.quality(results.summaries)
+        found["provenance"] = _provenance(results.rows)
+    if results.curves:
+        found["curve"] = markdown.curve(results.curves)
+        found["calibration"] = markdown.calibration(results.curves)
+    if results.example:
+        found["example"] = _example_text(results.example)
+    if results.sweep:
+        found["sweep"] = markdown.sweep(results.sweep)
+    if results.infill:
+        found["infill"] = markdown.infill(results.infill)
+    return found
+
+
+def draw(results: Results) -> dict[str, Figure]:
+    """The figures by name."""
+    drawn: dict[str, Figure] = {}
+    if results.summaries:
+        drawn["performance"] = figures.performance_figure(results.rows)
+    if results.curves:
+        drawn["curve"] = figures.curve_figure(results.curves)
+        drawn["calibration"] = figures.calibration_figure(results.curves)
+    if results.example:
+        drawn["example"] = figures.example_figure(results.example)
+    return drawn
+
+
+def update_page(page: Path, parts: Mapping[str, str]) -> Path:
+    """Replace the generated parts of a page; those that were not made stay as they are.
+
+    Raises:
+        MapreplayError: there is no such page, it cannot be written, or a part never ends.
+    """
+    try:
+        text = page.read_text(encoding="utf-8")
+        for name, part in parts.items():
+            begin, end = f"<!-- begin {name} -->", f"<!-- end {name} -->"
+            if begin not in text:
+                continue
+            pattern = re.compile(f"{re.escape(begin)}.*?{re.escape(end)}", re.DOTALL)
+            text, count = pattern.subn(lambda _, t=f"{begin}\n{part}\n{end}": t, text)  # type: ignore[misc]
+            if not count:
+                raise MapreplayError(f"{page}: {begin} has no {end}")
+        page.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise MapreplayError(f"{page}: cannot be updated ({error.strerror})") from None
+    return page
+
+
+def to_json(results: Results) -> dict[str, Any]:
+    """Everything measured, for programs."""
+    example = results.example
+    return {
+        "schema": SCHEMA,
+        "table": [asdict(summary) for summary in results.summaries],
+        "curve": [_curve_json(data) for data in results.curves],
+        "sweep": [asdict(setting) for setting in results.sweep],
+        "infill": [asdict(summary) for summary in results.infill],
+        "example": example
+        and {
+            "floor_plan": example.log.header.floor_plan.id,
+            "config": example.log.header.config.model_dump(mode="json"),
+            "steps": example.last.index,
+            "outcome": example.last.outcome,
+            "exposure_observed": example.exposure_observed,
+            "exposure_fused": example.exposure_fused,
+            "f1": example.last.metrics.f1,
+        },
+    }
+
+
+def _curve_json(data: CurveData) -> dict[str, Any]:
+    counts = [plan.counts for plan in data.plans]
+    total = sum(counts[1:], counts[0])
+    by_distance = {
+        label: asdict(calibration_scores(total.group(i)))
+        | asdict(decided(total.group(i), data.thresholds))
+        for i, label in enumerate(total.labels)
+    }
+    return {
+        "dataset": data.dataset,
+        "predictor": asdict(data.predictor),
+        "plans": [plan.floor_plan for plan in data.plans],
+        "observations": OBSERVATIONS,
+        "f1": {
+            kind: [asdict(mean_interval(column)) for column in data.f1(kind).T]
+            for kind in ("raw", "thresholded", "fused", "observed")
+        },
+        "calibration": asdict(calibration_scores(total)),
+        "reliability": [asdict(b) for b in reliability(total)],
+        "by_distance": by_distance,
+    }
+
+
+def _finite(value: Any) -> Any:
+    """The same with null for NaN, which JSON does not have."""
+    if isinstance(value, dict):
+        return {key: _finite(part) for key, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(part) for part in value]
+    return None if isinstance(value, float) and math.isnan(value) else value
+
+
+def _provenance(rows: Sequence[Row]) -> str:
+    weights = sorted({(r.predictor, r.sha256) for r in rows if r.sha256})
+    hours = sum(row.seconds for row in rows) / 3600
+    lines = [f"- `{name}`: weights with SHA-256 `{sha}`" for name, sha in weights]
+    lines.append(f"- {len(rows):,} episodes, {hours:.2f} hours of CPU time in all")
+    return "\n".join(lines)
+
+
+def _example_text(example: Example) -> str:
+    header, last = example.log.header, example.last
+    return (
+        f"`{header.floor_plan.id}`: {last.outcome} after {last.index} steps and "
+        f"{last.metrics.path_length:.1f} m. At its end the observed map shows "
+        f"{100 * example.exposure_observed:.1f} % of the explorable cells and the fused map "
+        f"{100 * example.exposure_fused:.1f} %, {100 * last.metrics.correct_coverage_fused:.1f} % "
+        f"rightly (F1 {last.metrics.f1:.3f})."
+    )
