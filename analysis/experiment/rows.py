@@ -82,7 +82,7 @@ class RowFile:
     """Rows on disk: each is durable once `append` returns; a torn last line is cut off."""
 
     def __init__(self, path: Path) -> None:
-        self._path = path
+        self.path = path
 
     def read(self) -> list[Row]:
         """All whole rows.
@@ -93,24 +93,24 @@ class RowFile:
         return list(self._rows())
 
     def _rows(self) -> Iterator[Row]:
-        if not self._path.exists():
+        if not self.path.exists():
             return
-        text = self._path.read_text(encoding="utf-8", errors="replace")
+        text = self.path.read_text(encoding="utf-8", errors="replace")
         for number, line in enumerate(text.split("\n")[:-1], start=1):
             try:
                 yield Row.from_json(line)
             except (ValueError, TypeError) as error:
-                raise MapreplayError(f"{self._path}, line {number}: damaged ({error})") from None
+                raise MapreplayError(f"{self.path}, line {number}: damaged ({error})") from None
 
     def repair(self) -> None:
         """Cut off what a kill left of a line, so that the next row starts a line of its own."""
-        if self._path.exists():
-            with self._path.open("r+b") as file:
+        if self.path.exists():
+            with self.path.open("r+b") as file:
                 file.truncate(file.read().rfind(b"\n") + 1)
 
     def append(self, row: Row) -> None:
         """Add a row and wait until it is on the disk."""
-        with self._path.open("a", encoding="utf-8") as file:
+        with self.path.open("a", encoding="utf-8") as file:
             file.write(row.to_json() + "\n")
             file.flush()
             os.fsync(file.fileno())

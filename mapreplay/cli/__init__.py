@@ -19,6 +19,7 @@ from mapreplay.cli.branch import branch
 from mapreplay.cli.compare import compare
 from mapreplay.cli.diagnose import diagnose
 from mapreplay.cli.diff import diff
+from mapreplay.cli.experiment import experiment
 from mapreplay.cli.export import export
 from mapreplay.cli.floorplans import floorplans
 from mapreplay.cli.info import info
@@ -66,7 +67,7 @@ def _mapreplay(
 
 for _verb in (
     run, view, ls, info, metrics, compare, diagnose, diff, branch, whatif, recover, export,
-    floorplans, train, verify,
+    floorplans, train, verify, experiment,
 ):  # fmt: skip
     app.command()(_verb)
 app.add_typer(bench_app, name="bench")

@@ -1,0 +1,158 @@
+"""`mapreplay experiment`: the paper's simulations, tables and figures, from one configuration."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mapreplay.cli.output import note
+from mapreplay.errors import MapreplayError, UsageError
+
+if TYPE_CHECKING:
+    from mapreplay.analysis.experiment.config import Dataset, ExperimentConfig
+    from mapreplay.analysis.experiment.jobs import Job
+    from mapreplay.floorplan import FloorPlan
+
+
+def experiment(
+    config: Annotated[
+        str, typer.Argument(help="TOML file, or the name of one in samples/experiments: paper.")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for the results; goes on where it stopped.")],
+    floorplans: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=SPEC: where the floor plans of that dataset are."),
+    ] = None,
+    dataset: Annotated[
+        list[str] | None, typer.Option(help="Only this dataset; can be repeated.")
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Processes (default: all cores).")] = None,
+    report_only: Annotated[
+        bool, typer.Option("--report-only", help="Simulate nothing; tables and figures again.")
+    ] = False,
+    docs: Annotated[
+        Path | None, typer.Option(help="Also renew the generated parts of results.md there.")
+    ] = None,
+) -> None:
+    """Run planners on floor plans with and without prediction; tables and figures with intervals.
+
+    Every finished episode is kept: repeat the command to go on after a stop.
+    """
+    from mapreplay.analysis.experiment.config import ExperimentConfig
+    from mapreplay.analysis.experiment.report import write_report
+
+    settings = ExperimentConfig.read(_find(config)).only(tuple(dataset or ()))
+    if not report_only:
+        _make(settings, _places(floorplans or [], settings), out, jobs or os.cpu_count() or 1)
+    for path in write_report(out, docs):
+        note(f"wrote {path}")
+    typer.echo((out / "results.md").read_text(encoding="utf-8"))
+
+
+def _find(name: str) -> Path:
+    """The configuration file: a path, or a name in the samples."""
+    path = Path(name)
+    if path.exists():
+        return path
+    samples = Path("samples") / "experiments" / f"{name}.toml"
+    if samples.exists():
+        return samples
+    raise UsageError(f"{name}: no such file, and no samples/experiments/{name}.toml here")
+
+
+def _places(given: list[str], settings: ExperimentConfig) -> dict[str, str]:
+    names = {d.name for d in settings.datasets}
+    places = {}
+    for item in given:
+        name, equals, spec = item.partition("=")
+        if not equals or name not in names:
+            raise UsageError(
+                f"--floorplans {item}: expected NAME=SPEC, NAME one of {', '.join(sorted(names))}"
+            )
+        places[name] = spec
+    return places
+
+
+def _make(settings: ExperimentConfig, places: dict[str, str], out: Path, processes: int) -> None:
+    """All that is measured, into `out`."""
+    from mapreplay.analysis.experiment.jobs import jobs_of
+    from mapreplay.analysis.experiment.rows import ROWS_FILE
+    from mapreplay.analysis.experiment.sweep import setting_folder
+
+    plans = {d.name: d.load(places.get(d.name)) for d in settings.datasets}
+    _keep_settings(settings, out)
+
+    def simulate(what: ExperimentConfig, folder: Path) -> None:
+        jobs = [job for d in what.datasets for job in jobs_of(what, d, plans[d.name])]
+        _simulate(jobs, folder / ROWS_FILE, processes)
+
+    for d in settings.datasets:
+        _measure_curve(settings, d, plans[d.name], out)
+    if settings.example is not None:
+        _record_example(settings, plans[settings.example][0], out)
+    simulate(settings, out)
+    for one in settings.swept():
+        simulate(one, setting_folder(out, one.delta_free, one.delta_occupied))
+
+
+def _keep_settings(settings: ExperimentConfig, out: Path) -> None:
+    """Write down what `out` is of, so that no other experiment is mixed with it."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for name, text in settings.per_dataset().items():
+            path = out / f"settings-{name}.json"
+            if not path.exists():
+                path.write_text(text, encoding="utf-8")
+            elif path.read_text(encoding="utf-8") != text:
+                raise UsageError(f"{path}: another experiment is there; choose another --out")
+    except OSError as error:
+        raise MapreplayError(f"{out}: cannot be written ({error.strerror})") from None
+
+
+def _simulate(jobs: list[Job], path: Path, processes: int) -> None:
+    from contextlib import closing
+
+    from mapreplay.analysis.experiment.rows import RowFile
+    from mapreplay.analysis.experiment.runner import jobs_left, run_jobs
+    from mapreplay.cli.progress import progress_bar
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    file = RowFile(path)
+    left = jobs_left(jobs, file)
+    total, done = len(jobs), len(jobs) - len(left)
+    note(f"{path.parent}: {done} of {total} simulations are there")
+    with closing(run_jobs(left, file, processes)) as finished, progress_bar("episode") as bar:
+        task = bar.add_task("simulations", total=total, completed=done, episode="")
+        for job_rows in finished:
+            row = job_rows[0]
+            bar.update(task, advance=1, episode=f"{row.dataset} {row.planner} s{row.seed}")
+
+
+def _measure_curve(
+    settings: ExperimentConfig, dataset: Dataset, plans: list[FloorPlan], out: Path
+) -> None:
+    from mapreplay.analysis.experiment.curve import load_curve, measure_curve
+    from mapreplay.mapping import Thresholds
+    from mapreplay.predictors import load_predictor
+
+    if not dataset.curve_plans:
+        return
+    predictor = load_predictor(dataset.predictor)
+    path = out / f"curve-{dataset.name}.npz"
+    if path.exists() and load_curve(path).predictor == predictor.identity:
+        return
+    thresholds = Thresholds(settings.delta_free, settings.delta_occupied)
+    chosen = plans[: dataset.curve_plans]
+    measure_curve(dataset.name, chosen, predictor, thresholds).save(out)
+    note(f"wrote {path}")
+
+
+def _record_example(settings: ExperimentConfig, plan: FloorPlan, out: Path) -> None:
+    from mapreplay.analysis.experiment.example import record_example
+    from mapreplay.predictors import load_predictor
+
+    name = next(d.predictor for d in settings.datasets if d.name == settings.example)
+    note(f"wrote {record_example(plan, load_predictor(name), out)}")
