@@ -1,10 +1,11 @@
 """From the data of an experiment to its tables and figures, as often as one likes.
 
 A results folder holds the data: ``rows.jsonl`` (one episode a line), ``curve-<dataset>.npz``,
-``example.mcap``, and the same for ``sweep/`` and ``infill/``. What is made of it lies beside:
-``results.json``, ``table.parquet``, ``results.md`` and ``figures/``. A page of documentation has
-its generated parts between ``<!-- begin NAME -->`` and ``<!-- end NAME -->``; what stands around
-them is written by hand and left alone.
+``example.mcap``, and rows below ``sweep/``. What is made of it lies beside: ``results.json``,
+``table.parquet``, ``results.md`` and ``figures/``. A page of documentation has its generated parts
+between ``<!-- begin EXPERIMENT/PART -->`` and ``<!-- end EXPERIMENT/PART -->``; what stands around
+them is written by hand and left alone. So a page can have parts of several experiments, and no
+experiment touches those of another.
 """
 
 from __future__ import annotations
@@ -24,9 +25,10 @@ from mapreplay.analysis.calibration import calibration_scores, decided, reliabil
 from mapreplay.analysis.experiment import figures, markdown
 from mapreplay.analysis.experiment.curve import OBSERVATIONS, CurveData, load_curve
 from mapreplay.analysis.experiment.example import EXAMPLE_FILE, Example, read_example
+from mapreplay.analysis.experiment.infill import PREFIX as INFILL_PREFIX
 from mapreplay.analysis.experiment.rows import ROWS_FILE, Row, RowFile
-from mapreplay.analysis.experiment.sweep import INFILL_FOLDER, Setting, read_sweep
-from mapreplay.analysis.experiment.table import Summary, summarize, summary_frame
+from mapreplay.analysis.experiment.sweep import Setting, read_sweep
+from mapreplay.analysis.experiment.table import Arm, Summary, summarize, summary_frame
 from mapreplay.analysis.statistics import mean_interval
 from mapreplay.errors import MapreplayError
 
@@ -52,26 +54,28 @@ def read_results(folder: Path) -> Results:
     Raises:
         MapreplayError: no episode was finished there, or a file is damaged.
     """
-    rows = RowFile(folder / ROWS_FILE).read()
-    sweep, infill = read_sweep(folder), RowFile(folder / INFILL_FOLDER / ROWS_FILE).read()
-    if not (rows or sweep or infill):
+    every, sweep = RowFile(folder / ROWS_FILE).read(), read_sweep(folder)
+    if not (every or sweep):
         raise MapreplayError(f"{folder}: holds no finished episode of an experiment")
     example = folder / EXAMPLE_FILE
+    oracle = [row for row in every if row.predictor.startswith(INFILL_PREFIX)]
+    rows = [row for row in every if not row.predictor.startswith(INFILL_PREFIX)]
+    baseline = [row for row in rows if Arm.of(row).is_reference]
     return Results(
         rows=tuple(rows),
         summaries=tuple(summarize(rows)),
         curves=tuple(load_curve(path) for path in sorted(folder.glob("curve-*.npz"))),
         example=read_example(example) if example.exists() else None,
         sweep=tuple(sweep),
-        infill=tuple(summarize(infill)),
+        infill=tuple(summarize(baseline + oracle)) if oracle else (),
     )
 
 
-def write_report(folder: Path, docs: Path | None = None) -> list[Path]:
+def write_report(folder: Path, docs: Path | None = None, name: str = "paper") -> list[Path]:
     """Make all tables and figures of a results folder; returns the files written.
 
-    With `docs`, also the generated parts of ``results.md`` in that folder, and copies of the
-    figures in its ``figures/``.
+    With `docs`, also the generated parts of ``results.md`` in that folder that are of the
+    experiment `name`, and the figures that the page shows: ``figures/<name>-<figure>.png``.
 
     Raises:
         MapreplayError: there is nothing to report, a file is damaged, or `docs` has no page.
@@ -81,7 +85,7 @@ def write_report(folder: Path, docs: Path | None = None) -> list[Path]:
     document = json.dumps(_finite(to_json(results)), indent=1) + "\n"
     written[0].write_text(document, encoding="utf-8")
     parts = blocks(results)
-    text = "\n\n".join(f"## {name.replace('-', ' ')}\n\n{part}" for name, part in parts.items())
+    text = "\n\n".join(f"## {heading}\n\n{part}" for heading, part in parts.items())
     written[1].write_text(text + "\n", encoding="utf-8")
     if results.summaries:
         written.append(folder / "table.parquet")
@@ -89,15 +93,19 @@ def write_report(folder: Path, docs: Path | None = None) -> list[Path]:
     pictures = folder / "figures"
     pictures.mkdir(exist_ok=True)
     drawn = [
-        figures.save(figure, pictures / f"{name}.png") for name, figure in draw(results).items()
+        figures.save(figure, pictures / f"{kind}.png") for kind, figure in draw(results).items()
     ]
     written += drawn
     if docs is not None:
-        written.append(update_page(docs / PAGE, parts))
+        page = docs / PAGE
+        written.append(update_page(page, {f"{name}/{part}": t for part, t in parts.items()}))
+        shown = page.read_text(encoding="utf-8")
         (docs / "figures").mkdir(exist_ok=True)
         for path in drawn:
-            shutil.copyfile(path, docs / "figures" / f"results-{path.name}")
-            written.append(docs / "figures" / f"results-{path.name}")
+            copy = docs / "figures" / f"{name}-{path.name}"
+            if f"figures/{copy.name}" in shown:
+                shutil.copyfile(path, copy)
+                written.append(copy)
     return written
 
 

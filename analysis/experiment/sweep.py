@@ -16,7 +16,6 @@ from mapreplay.analysis.experiment.table import Summary, summarize
 from mapreplay.errors import MapreplayError
 
 SWEEP_FOLDER: Final = "sweep"
-INFILL_FOLDER: Final = "infill"
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ def experiment(
     settings = ExperimentConfig.read(_find(config)).only(tuple(dataset or ()))
     if not report_only:
         _make(settings, _places(floorplans or [], settings), out, jobs or os.cpu_count() or 1)
-    for path in write_report(out, docs):
+    for path in write_report(out, docs, Path(config).stem):
         note(f"wrote {path}")
     typer.echo((out / "results.md").read_text(encoding="utf-8"))
 

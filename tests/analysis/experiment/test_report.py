@@ -51,10 +51,9 @@ def fill(folder: Path, rows: list[Row]) -> None:
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with all kinds of data."""
     folder = tmp_path_factory.mktemp("results")
-    fill(folder, episodes(0.5))
+    fill(folder, episodes(0.5) + episodes(0.4, "infill-4")[1::2])
     for free, occupied, saved in ((0.9, 0.95, 0.6), (0.8, 0.95, 0.7)):
         fill(setting_folder(folder, free, occupied), episodes(saved))
-    fill(folder / "infill", episodes(0.4, "infill-4"))
     measure_curve("D1", [HOUSE, HOUSE], KNOWS, Thresholds()).save(folder)
     record_example(HOUSE, KNOWS, folder)
     return folder
@@ -62,11 +61,11 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_everything_is_made_from_the_data(results: Path, tmp_path: Path) -> None:
     page = tmp_path / "results.md"
-    page.write_text((DOCS / "results.md").read_text())
+    page.write_text((DOCS / "results.md").read_text().replace("validation/", "paper/"))
     written = write_report(results, tmp_path)
     assert {path.name for path in written} >= {
         "results.json", "results.md", "table.parquet", "performance.png", "curve.png",
-        "calibration.png", "example.png", "results-curve.png",
+        "calibration.png", "example.png", "paper-curve.png",
     }  # fmt: skip
     text = page.read_text()
     assert "| D1 | nearest | 68 | 50.0 [50.0, 50.0] | - |" in text  # ours beside the paper's
@@ -78,23 +77,17 @@ def test_everything_is_made_from_the_data(results: Path, tmp_path: Path) -> None
     assert found["schema"] == "mapreplay.experiment/1"
     assert found["curve"][0]["calibration"]["brier"] == 0
 
-
-def test_a_report_made_twice_is_the_same(results: Path, tmp_path: Path) -> None:
-    page = tmp_path / "results.md"
-    page.write_text((DOCS / "results.md").read_text())
-    made = []
-    for _ in range(2):
-        write_report(results, tmp_path)
-        made.append({p.name: p.read_bytes() for p in sorted(tmp_path.rglob("*")) if p.is_file()})
-    assert made[0] == made[1]
-    assert len(made[0]) == 5
+    before = {path: path.read_bytes() for path in written}
+    assert write_report(results, tmp_path) == written
+    assert {path: path.read_bytes() for path in written} == before
 
 
 def test_every_part_of_the_page_has_its_marks(results: Path) -> None:
     from mapreplay.analysis.experiment.report import blocks
 
     text = (DOCS / "results.md").read_text()
-    for name in blocks(read_results(results)):
+    for part in blocks(read_results(results)):
+        name = ("validation/" if part in ("sweep", "infill") else "paper/") + part
         assert text.count(f"<!-- begin {name} -->") == text.count(f"<!-- end {name} -->") == 1
 
 
@@ -107,6 +100,17 @@ def test_only_the_marked_parts_of_a_page_change(tmp_path: Path) -> None:
     assert page.read_text() == (
         "mine\n<!-- begin a -->\nnew \\1\n<!-- end a -->\nmine\n<!-- begin b --><!-- end b -->"
     )
+
+
+def test_an_experiment_leaves_the_parts_and_figures_of_another_alone(tmp_path: Path) -> None:
+    fill(tmp_path / "out", episodes(0.5))
+    page = tmp_path / "results.md"
+    page.write_text((DOCS / "results.md").read_text())
+    before = page.read_text()
+    written = write_report(tmp_path / "out", tmp_path, "another")
+    assert page.read_text() == before
+    assert list((tmp_path / "figures").iterdir()) == []
+    assert page in written
 
 
 def test_a_page_that_cannot_be_updated_is_named(tmp_path: Path) -> None:
