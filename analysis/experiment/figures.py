@@ -19,11 +19,11 @@ from mapreplay.analysis.calibration import (
     reliability,
     score_interval,
 )
+from mapreplay.analysis.experiment.controls import CONTROLS
 from mapreplay.analysis.experiment.curve import OBSERVATIONS, CurveData
 from mapreplay.analysis.experiment.example import Example
 from mapreplay.analysis.experiment.rows import Row
 from mapreplay.analysis.experiment.table import (
-    CONTROLS,
     PAPER,
     PLANNERS,
     Arm,

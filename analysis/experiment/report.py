@@ -23,6 +23,7 @@ from matplotlib.figure import Figure
 
 from mapreplay.analysis.calibration import calibration_scores, decided, reliability
 from mapreplay.analysis.experiment import figures, markdown
+from mapreplay.analysis.experiment.controls import CONTROLS
 from mapreplay.analysis.experiment.curve import OBSERVATIONS, CurveData, load_curve
 from mapreplay.analysis.experiment.example import EXAMPLE_FILE, Example, read_example
 from mapreplay.analysis.experiment.infill import PREFIX as INFILL_PREFIX
@@ -58,6 +59,7 @@ def read_results(folder: Path) -> Results:
     if not (every or sweep):
         raise MapreplayError(f"{folder}: holds no finished episode of an experiment")
     example = folder / EXAMPLE_FILE
+    every = [row for row in every if not _said_twice(row)]
     oracle = [row for row in every if row.predictor.startswith(INFILL_PREFIX)]
     rows = [row for row in every if not row.predictor.startswith(INFILL_PREFIX)]
     baseline = [row for row in rows if Arm.of(row).is_reference]
@@ -69,6 +71,12 @@ def read_results(folder: Path) -> Results:
         sweep=tuple(sweep),
         infill=tuple(summarize(baseline + oracle)) if oracle else (),
     )
+
+
+def _said_twice(row: Row) -> bool:
+    """Whether a control or oracle has another row, with fail-safe, that says it better."""
+    special = row.predictor in CONTROLS or row.predictor.startswith(INFILL_PREFIX)
+    return special and not row.fail_safe
 
 
 def write_report(folder: Path, docs: Path | None = None, name: str = "paper") -> list[Path]:

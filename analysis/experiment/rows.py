@@ -109,8 +109,15 @@ class RowFile:
                 file.truncate(file.read().rfind(b"\n") + 1)
 
     def append(self, row: Row) -> None:
-        """Add a row and wait until it is on the disk."""
-        with self.path.open("a", encoding="utf-8") as file:
-            file.write(row.to_json() + "\n")
-            file.flush()
-            os.fsync(file.fileno())
+        """Add a row and wait until it is on the disk.
+
+        Raises:
+            MapreplayError: it cannot be written.
+        """
+        try:
+            with self.path.open("a", encoding="utf-8") as file:
+                file.write(row.to_json() + "\n")
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise MapreplayError(f"{self.path}: cannot be written ({error.strerror})") from None

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 import polars as pl
 
+from mapreplay.analysis.experiment.controls import CONTROLS
 from mapreplay.analysis.experiment.rows import Row
 from mapreplay.analysis.significance import holm, signed_rank
 from mapreplay.analysis.statistics import (
@@ -26,8 +27,6 @@ from mapreplay.analysis.statistics import (
 )
 
 PLANNERS: Final = ("random", "nearest", "cost-utility")
-CONTROLS: Final = ("always-free", "mean-wall")
-"""Predictors that must look as bad as they are."""
 PAPER: Final = {
     ("D1", "nearest"): 0.68, ("D2", "nearest"): 0.55,
     ("D1", "cost-utility"): 0.80, ("D2", "cost-utility"): 0.65,

@@ -105,7 +105,9 @@ def _keep_settings(settings: ExperimentConfig, out: Path) -> None:
         for name, text in settings.per_dataset().items():
             path = out / f"settings-{name}.json"
             if not path.exists():
-                path.write_text(text, encoding="utf-8")
+                part = path.with_suffix(".part")
+                part.write_text(text, encoding="utf-8")
+                part.replace(path)
             elif path.read_text(encoding="utf-8") != text:
                 raise UsageError(f"{path}: another experiment is there; choose another --out")
     except OSError as error:
@@ -117,7 +119,7 @@ def _simulate(jobs: list[Job], path: Path, processes: int) -> None:
 
     from mapreplay.analysis.experiment.rows import RowFile
     from mapreplay.analysis.experiment.runner import jobs_left, run_jobs
-    from mapreplay.cli.progress import progress_bar
+    from mapreplay.cli.progress import TimeLeft, progress_bar
 
     path.parent.mkdir(parents=True, exist_ok=True)
     file = RowFile(path)
@@ -126,8 +128,10 @@ def _simulate(jobs: list[Job], path: Path, processes: int) -> None:
     note(f"{path.parent}: {done} of {total} simulations are there")
     with closing(run_jobs(left, file, processes)) as finished, progress_bar("episode") as bar:
         task = bar.add_task("simulations", total=total, completed=done, episode="")
+        lines = TimeLeft("simulations", done, total)
         for job_rows in finished:
             row = job_rows[0]
+            lines.advance()
             bar.update(task, advance=1, episode=f"{row.dataset} {row.planner} s{row.seed}")
 
 

@@ -1,6 +1,10 @@
-"""Progress bars on stderr; silent where stderr is no terminal."""
+"""Progress on stderr: bars on a terminal; elsewhere nothing, or a line a minute."""
 
 from __future__ import annotations
+
+import sys
+import time
+from typing import Final
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -18,3 +22,27 @@ def progress_bar(*columns: str) -> Progress:
         transient=True,
         disable=not console.is_terminal,
     )
+
+
+SECONDS_A_LINE: Final = 60.0
+
+
+class TimeLeft:
+    """For hours of work whose stderr is a file: a line a minute; silent on a terminal."""
+
+    def __init__(self, what: str, done: int, total: int) -> None:
+        self._what, self._done, self._total = what, done, total
+        self._began_with = done
+        self._began = self._said = time.monotonic()
+
+    def advance(self) -> None:
+        """One more is done."""
+        self._done += 1
+        now = time.monotonic()
+        if sys.stderr.isatty() or now - self._said < SECONDS_A_LINE:
+            return
+        self._said = now
+        pace = (now - self._began) / (self._done - self._began_with)
+        minutes = pace * (self._total - self._done) / 60
+        line = f"{self._done} of {self._total} {self._what}, about {minutes:.0f} min left"
+        print(line, file=sys.stderr, flush=True)

@@ -29,6 +29,7 @@ VERBS = [
     "export",
     "floorplans",
     "train",
+    "experiment",
     "bench",
 ]
 

@@ -1,10 +1,18 @@
-"""Rows of an experiment for tests."""
+"""Rows of an experiment for tests, and a job that kills its process."""
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
+from mapreplay.analysis.experiment.jobs import Job
 from mapreplay.analysis.experiment.rows import Row
+from mapreplay.grid import Grid
+from mapreplay.predictors import Predictor
+from mapreplay.step import PredictorIdentity
 
 _PLAIN = {
     "dataset": "D1", "floor_plan": "p1", "planner": "nearest", "plan_on": "observed",
@@ -17,3 +25,17 @@ _PLAIN = {
 
 def ROW(**changes: Any) -> Row:  # noqa: N802 (a row, with what a test wants to be different)
     return Row(**(_PLAIN | changes))
+
+
+class _Deadly:
+    identity = PredictorIdentity("deadly", "")
+
+    def predict(self, observed: Grid) -> npt.NDArray[np.float32]:
+        os._exit(9)
+
+
+class DeadlyJob(Job):
+    """A job whose predictor takes its process with it."""
+
+    def predictor(self) -> Predictor:
+        return _Deadly()

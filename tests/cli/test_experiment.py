@@ -1,0 +1,89 @@
+"""`mapreplay experiment`: from training to tables and figures, and what can be wrong with it."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from commands import Run
+
+SAMPLES = Path(__file__).parents[2] / "samples" / "experiments"
+TINY = SAMPLES / "tiny.toml"
+
+
+def test_the_whole_pipeline(cli: Run, tmp_path: Path) -> None:
+    """Train for seconds, evaluate three plans, render tables and figures; then again, resumed."""
+    weights = tmp_path / "mine.safetensors"
+    trained = cli(
+        "train", "--floorplans", "procedural:0-39", "--validate", "procedural:50010-50013",
+        "--validation-plans", 4, "--samples", 96, "--validate-every", 48, "--batch", 8,
+        "--threads", 1, "--out", weights,
+    )  # fmt: skip
+    assert trained.code == 0, trained.err
+    config = tmp_path / "mine.toml"
+    config.write_text(
+        TINY.read_text().replace('predictor = "d1"', f'predictor = "{weights}"') + "\n"
+    )
+    out = tmp_path / "out"
+    made = cli("experiment", config, "--out", out, "--jobs", 1)
+    assert made.code == 0, made.err
+    assert "out: 0 of 24 simulations are there" in made.err
+    assert {path.name for path in (out / "figures").iterdir()} == {
+        "performance.png", "curve.png", "calibration.png", "example.png",
+    }  # fmt: skip
+    results = json.loads((out / "results.json").read_text())
+    arms = {
+        (row["arm"]["planner"], row["arm"]["predictor"], row["plans"]) for row in results["table"]
+    }
+    assert ("nearest", "none", 3) in arms
+    assert ("random", str(weights), 3) in arms
+    free = next(r for r in results["table"] if r["arm"]["predictor"] == "always-free")
+    assert free["mapping_time"]["mean"] == 0  # it claims to know it all before the first move
+    assert free["correct"]["mean"] < 0.9  # and shows as what it is
+    assert free["f1"]["mean"] < 0.3
+    assert results["infill"][-1]["arm"]["predictor"] == "infill-4"
+    assert results["sweep"][0]["delta_free"] == 0.8
+    assert "| planner | plans on/builds |" in made.out
+
+    rows = (out / "rows.jsonl").read_text().splitlines(keepends=True)
+    (out / "rows.jsonl").write_text("".join(rows[:-3]) + rows[-3][:40])
+    again = cli("experiment", config, "--out", out, "--jobs", 1)
+    assert again.code == 0, again.err
+    assert "of 24 simulations are there" in again.err
+    assert len((out / "rows.jsonl").read_text().splitlines()) == len(rows)
+    assert json.loads((out / "results.json").read_text())["table"] == results["table"]
+
+    changed = tmp_path / "changed.toml"
+    changed.write_text(config.read_text().replace("coverage = 0.9", "coverage = 0.8"))
+    refused = cli("experiment", changed, "--out", out)
+    assert refused.code == 2
+    assert "another experiment is there; choose another --out" in refused.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["nowhere"], 2, "nowhere: no such file, and no samples/experiments/nowhere.toml here"),
+        (
+            [TINY, "--floorplans", "D9=x"],
+            2,
+            "--floorplans D9=x: expected NAME=SPEC, NAME one of D1",
+        ),
+        ([TINY, "--dataset", "D9"], 2, "no dataset 'D9'; there are D1"),
+        ([TINY, "--report-only"], 1, "holds no finished episode of an experiment"),
+        ([TINY, "--floorplans", "D1=no/where.json"], 1, "no/where.json: no such file or folder"),
+    ],
+)
+def test_what_is_wrong_is_one_line(
+    cli: Run, tmp_path: Path, arguments: list[object], code: int, said: str
+) -> None:
+    result = cli("experiment", *arguments, "--out", tmp_path / "out")
+    assert (result.code, result.err.count("\n")) == (code, 1)
+    assert said in result.err
+
+
+def test_an_out_that_is_no_folder_is_refused(cli: Run, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    result = cli("experiment", TINY, "--out", tmp_path / "file")
+    assert result.code == 1
+    assert "file: cannot be written" in result.err
