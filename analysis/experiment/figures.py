@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -27,11 +27,11 @@ from mapreplay.analysis.experiment.table import (
     PAPER,
     PLANNERS,
     Arm,
+    Summary,
     plan_reductions,
     reading_order,
-    summarize,
 )
-from mapreplay.analysis.statistics import mean_interval
+from mapreplay.analysis.statistics import Estimate, mean_interval
 from mapreplay.recorders.palette import (
     BLUE,
     GREEN,
@@ -71,16 +71,19 @@ def save(figure: Figure, path: Path) -> Path:
     return path
 
 
-def performance_figure(rows: Sequence[Row]) -> Figure:
+def performance_figure(rows: Sequence[Row], summaries: Sequence[Summary]) -> Figure:
     """Reduction of mapping time by dataset, planner and configuration: bars are means with 95 %
     intervals over floor plans, dots are floor plans. Controls are left to the table.
+
+    `summaries` are those of `rows`.
     """
+    reductions = {summary.arm: summary.reduction for summary in summaries}
     shown = [row for row in rows if row.predictor not in CONTROLS]
     datasets = sorted({row.dataset for row in shown})
     figure = Figure(figsize=(1 + 4.6 * len(datasets), 4.6), layout="constrained")
     panels = figure.subplots(1, len(datasets), sharey=True, squeeze=False)[0]
     for axes, dataset in zip(panels, datasets, strict=True):
-        _performance_panel(axes, [row for row in shown if row.dataset == dataset])
+        _performance_panel(axes, [row for row in shown if row.dataset == dataset], reductions)
         axes.set_title(dataset)
     panels[0].set_ylabel("reduction of mapping time\nagainst observed/observed Nearest Frontier")
     used = {(arm.maps, arm.fail_safe) for arm in map(Arm.of, shown) if not arm.is_reference}
@@ -97,13 +100,12 @@ def performance_figure(rows: Sequence[Row]) -> Figure:
     return figure
 
 
-def _performance_panel(axes: Axes, rows: Sequence[Row]) -> None:
+def _performance_panel(axes: Axes, rows: Sequence[Row], reductions: Mapping[Arm, Estimate]) -> None:
     arms: dict[Arm, list[Row]] = {}
     for row in rows:
         arms.setdefault(Arm.of(row), []).append(row)
     reference = [row for arm in arms if arm.is_reference for row in arms[arm]]
     planners = [p for p in PLANNERS if any(arm.planner == p for arm in arms)]
-    summaries = {summary.arm: summary for summary in summarize(rows)}
     chance = np.random.default_rng(0)
     for place, planner in enumerate(planners):
         group = [a for a in sorted(arms, key=reading_order) if a.planner == planner]
@@ -116,7 +118,7 @@ def _performance_panel(axes: Axes, rows: Sequence[Row]) -> None:
             dots = np.maximum(effects, _FLOOR)
             spread = chance.uniform(-0.3, 0.3, dots.size) * width
             axes.scatter(x + spread, dots, s=5, color=colour, alpha=0.35, linewidths=0, zorder=2)
-            estimate = summaries[arm].reduction
+            estimate = reductions[arm]
             axes.bar(x, estimate.mean, 0.8 * width, color=colour, alpha=0.4, zorder=1)
             axes.plot([x, x], [estimate.low, estimate.high], color="black", lw=1.6, zorder=3)
             axes.plot(x, estimate.mean, "o", color="black", ms=3.5, zorder=4)

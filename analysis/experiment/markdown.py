@@ -54,6 +54,7 @@ def performance(summaries: Sequence[Summary]) -> str:
                 s.arm.planner,
                 _maps(s),
                 s.arm.predictor,
+                f"{s.plans} x {s.runs / s.plans:.3g}",
                 number(s.mapping_time),
                 UNDEFINED if s.arm.is_reference else percent(s.reduction),
                 UNDEFINED
@@ -63,7 +64,8 @@ def performance(summaries: Sequence[Summary]) -> str:
             ]
             for s in here
         ]
-        head = ["planner", "plans on/builds", "predictor", "mapping time, steps", "reduction, %",
+        head = ["planner", "plans on/builds", "predictor", "plans x runs", "mapping time, steps",
+                "reduction, %",
                 "reduction where both finished, % (plans)", "p"]  # fmt: skip
         parts.append(f"**{dataset}**, {_sizes(here)}\n\n{table(head, rows)}")
     return "\n\n".join(parts)

@@ -141,7 +141,7 @@ def draw(results: Results) -> dict[str, Figure]:
     """The figures by name."""
     drawn: dict[str, Figure] = {}
     if results.summaries:
-        drawn["performance"] = figures.performance_figure(results.rows)
+        drawn["performance"] = figures.performance_figure(results.rows, results.summaries)
     if results.curves:
         drawn["curve"] = figures.curve_figure(results.curves)
         drawn["calibration"] = figures.calibration_figure(results.curves)

@@ -6,11 +6,13 @@ import json
 import math
 import os
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Final
 
 from mapreplay.errors import MapreplayError
+from mapreplay.recorders.locking import lock
 
 ROWS_FILE: Final = "rows.jsonl"
 
@@ -101,6 +103,22 @@ class RowFile:
                 yield Row.from_json(line)
             except (ValueError, TypeError) as error:
                 raise MapreplayError(f"{self.path}, line {number}: damaged ({error})") from None
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Nobody else may add rows meanwhile; the lock is gone when its process is.
+
+        Raises:
+            MapreplayError: somebody else has it, or the file cannot be written.
+        """
+        try:
+            file = self.path.open("ab")
+        except OSError as error:
+            raise MapreplayError(f"{self.path}: cannot be written ({error.strerror})") from None
+        with file:
+            if not lock(file):
+                raise MapreplayError(f"{self.path}: another process is writing it")
+            yield
 
     def repair(self) -> None:
         """Cut off what a kill left of a line, so that the next row starts a line of its own."""

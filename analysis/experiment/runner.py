@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
+import threading
 from collections.abc import Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import connection
 from typing import Final
 
 from mapreplay.analysis.experiment.jobs import Job, identity, run_job
@@ -44,32 +47,30 @@ def run_jobs(
     """Run all `jobs`; yields the rows of each when they are on disk.
 
     Raises:
-        MapreplayError: an episode failed, or a process died.
+        MapreplayError: an episode failed, a process died, or another run adds to the file.
     """
-    file.repair()
-    there = {identity(row) for row in file.read()}
+    with file.locked():
+        file.repair()
+        there = {identity(row) for row in file.read()}
+        for rows in map(_work, jobs) if processes == 1 else _in_parallel(jobs, processes):
+            for row in rows:
+                if identity(row) not in there:  # a kill may have come between two rows of a job
+                    file.append(row)
+            yield rows
 
-    def keep(rows: list[Row]) -> list[Row]:
-        for row in rows:
-            if identity(row) not in there:  # a kill may have come between two rows of a job
-                file.append(row)
-        return rows
 
-    if processes == 1:
-        for job in jobs:
-            yield keep(_work(job))
-        return
+def _in_parallel(jobs: Sequence[Job], processes: int) -> Generator[list[Row], None, None]:
     waiting = list(jobs)[::-1]
     running: set[Future[list[Row]]] = set()
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(processes, mp_context=context, initializer=_ignore_interrupts)
+    pool = ProcessPoolExecutor(processes, mp_context=context, initializer=_begin_worker)
     try:
         while waiting or running:
             while waiting and len(running) < processes * QUEUED_PER_PROCESS:
                 running.add(pool.submit(_work, waiting.pop()))
             done, running = wait(running, return_when=FIRST_COMPLETED)
             for future in done:
-                yield keep(future.result())
+                yield future.result()
     except BrokenProcessPool:
         raise MapreplayError(
             "a worker process died; what it finished is kept, repeat the command to go on"
@@ -78,9 +79,17 @@ def run_jobs(
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _ignore_interrupts() -> None:
-    """Ctrl-C reaches the whole process group; the parent alone decides what it means."""
+def _begin_worker() -> None:
+    """Ctrl-C is the parent's business alone; and a worker ends when its parent does, however."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_after, args=(parent.sentinel,), daemon=True).start()
+
+
+def _end_after(sentinel: int) -> None:
+    connection.wait([sentinel])
+    os._exit(1)
 
 
 def _work(job: Job) -> list[Row]:

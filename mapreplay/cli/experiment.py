@@ -87,6 +87,8 @@ def _make(settings: ExperimentConfig, places: dict[str, str], out: Path, process
 
     def simulate(what: ExperimentConfig, folder: Path) -> None:
         jobs = [job for d in what.datasets for job in jobs_of(what, d, plans[d.name])]
+        # First runs of all datasets first: what was stopped is a smaller experiment on all.
+        jobs.sort(key=lambda job: job.config.seed)
         _simulate(jobs, folder / ROWS_FILE, processes)
 
     for d in settings.datasets:

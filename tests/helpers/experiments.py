@@ -1,8 +1,9 @@
-"""Rows of an experiment for tests, and a job that kills its process."""
+"""Rows of an experiment for tests, and jobs that kill their process or never end."""
 
 from __future__ import annotations
 
 import os
+import time
 from typing import Any
 
 import numpy as np
@@ -39,3 +40,11 @@ class DeadlyJob(Job):
 
     def predictor(self) -> Predictor:
         return _Deadly()
+
+
+class SleepyJob(Job):
+    """A job that does not end by itself."""
+
+    def predictor(self) -> Predictor:
+        time.sleep(3600)
+        raise AssertionError

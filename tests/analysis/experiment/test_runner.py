@@ -1,8 +1,12 @@
 """The runner: rows are durable, nothing is run twice, nothing is mixed."""
 
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
+import psutil
 import pytest
 
 from drawing import plan
@@ -88,3 +92,48 @@ def test_a_dead_process_is_told_and_what_was_finished_is_kept(tmp_path: Path) ->
     with pytest.raises(MapreplayError, match="a worker process died; what it finished is kept"):
         run([deadly], file, processes=2)
     assert len(run(jobs_left(jobs(1), file), file)) == 2  # and it goes on
+
+
+def test_two_runs_on_one_file_are_refused(tmp_path: Path) -> None:
+    file = RowFile(tmp_path / "rows.jsonl")
+    first = run_jobs(jobs(), file, 1)
+    next(first)
+    with pytest.raises(MapreplayError, match=r"rows.jsonl: another process is writing it"):
+        run(jobs(), file)
+    first.close()
+    run(jobs_left(jobs(), file), file)
+    assert len(file.read()) == 6
+
+
+SLOW_PARENT = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from pathlib import Path
+from drawing import plan
+from experiments import SleepyJob
+from mapreplay.analysis.experiment.rows import RowFile
+from mapreplay.analysis.experiment.runner import run_jobs
+from mapreplay.config import EpisodeConfig
+if __name__ == "__main__":
+    jobs = [
+        SleepyJob("D1", plan("###\\n#.#\\n###", f"p{n}"), EpisodeConfig(), 0.1) for n in range(2)
+    ]
+    list(run_jobs(jobs, RowFile(Path(sys.argv[2])), 2))
+"""
+
+
+def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
+    helpers = str(Path(__file__).parents[2] / "helpers")
+    script = tmp_path / "parent.py"
+    script.write_text(SLOW_PARENT)
+    parent = subprocess.Popen([sys.executable, script, helpers, tmp_path / "rows.jsonl"])
+    this = psutil.Process(parent.pid)
+    deadline = time.monotonic() + 120
+    while len(workers := [p for p in this.children() if "spawn_main" in str(p.cmdline())]) < 2:
+        assert time.monotonic() < deadline
+        assert parent.poll() is None
+        time.sleep(0.1)
+    parent.kill()
+    parent.wait()
+    _, alive = psutil.wait_procs(workers, timeout=120)
+    assert not alive
