@@ -33,6 +33,13 @@ from mapreplay.analysis.experiment.table import Arm, Summary, summarize, summary
 from mapreplay.analysis.statistics import mean_interval
 from mapreplay.errors import MapreplayError
 
+CAPTIONS: Final = {
+    "performance": "Reduction of mapping time by dataset, planner and configuration",
+    "curve": "F1 over the number of observations",
+    "calibration": "Reliability, and what both thresholds make of it by distance from the observed",
+    "example": "Observed, predicted, fused and true map at the end",
+}
+"""What each figure shows, for those who cannot see it."""
 SCHEMA: Final = "mapreplay.experiment/1"
 PAGE: Final = "results.md"
 
@@ -83,7 +90,7 @@ def write_report(folder: Path, docs: Path | None = None, name: str = "paper") ->
     """Make all tables and figures of a results folder; returns the files written.
 
     With `docs`, also the generated parts of ``results.md`` in that folder that are of the
-    experiment `name`, and the figures that the page shows: ``figures/<name>-<figure>.png``.
+    experiment `name`, and the figures among them: ``figures/<name>-<figure>.png``.
 
     Raises:
         MapreplayError: there is nothing to report, a file is damaged, or `docs` has no page.
@@ -93,28 +100,35 @@ def write_report(folder: Path, docs: Path | None = None, name: str = "paper") ->
     document = json.dumps(_finite(to_json(results)), indent=1) + "\n"
     written[0].write_text(document, encoding="utf-8")
     parts = blocks(results)
-    text = "\n\n".join(f"## {heading}\n\n{part}" for heading, part in parts.items())
+    pictures = folder / "figures"
+    pictures.mkdir(exist_ok=True)
+    drawn = {
+        kind: figures.save(figure, pictures / f"{kind}.png")
+        for kind, figure in draw(results).items()
+    }
+    here = parts | {f"{kind}-figure": _picture(kind, f"{kind}.png") for kind in drawn}
+    text = "\n\n".join(f"## {heading}\n\n{part}" for heading, part in here.items())
     written[1].write_text(text + "\n", encoding="utf-8")
     if results.summaries:
         written.append(folder / "table.parquet")
         summary_frame(results.summaries).write_parquet(written[-1])
-    pictures = folder / "figures"
-    pictures.mkdir(exist_ok=True)
-    drawn = [
-        figures.save(figure, pictures / f"{kind}.png") for kind, figure in draw(results).items()
-    ]
-    written += drawn
+    written += drawn.values()
     if docs is not None:
-        page = docs / PAGE
-        written.append(update_page(page, {f"{name}/{part}": t for part, t in parts.items()}))
+        there = parts | {f"{kind}-figure": _picture(kind, f"{name}-{kind}.png") for kind in drawn}
+        page = update_page(docs / PAGE, {f"{name}/{part}": t for part, t in there.items()})
+        written.append(page)
         shown = page.read_text(encoding="utf-8")
         (docs / "figures").mkdir(exist_ok=True)
-        for path in drawn:
-            copy = docs / "figures" / f"{name}-{path.name}"
-            if f"figures/{copy.name}" in shown:
+        for kind, path in drawn.items():
+            copy = docs / "figures" / f"{name}-{kind}.png"
+            if f"(figures/{copy.name})" in shown:
                 shutil.copyfile(path, copy)
                 written.append(copy)
     return written
+
+
+def _picture(kind: str, file: str) -> str:
+    return f"![{CAPTIONS[kind]}](figures/{file})"
 
 
 def blocks(results: Results) -> dict[str, str]:
