@@ -126,8 +126,7 @@ class PairsFigure:
                       markeredgecolor=shade, markersize=5.5)  # fmt: skip
         names = [shortened(self.comparison.floor_plans[i]) for i in order]
         axes.set_yticks(rows, names)
-        axes.set_title("Mapping time (hollow: not mapped)")
-        axes.set_xlabel("steps")
+        axes.set_title("Mapping time in steps (hollow: not mapped)")
         axes.set_xlim(left=0)
         axes.grid(visible=False, axis="y")
         axes.legend(loc="upper left", bbox_to_anchor=(0, -0.1), ncols=2)

@@ -224,7 +224,6 @@ def _pictures(name: str, episode: LoggedEpisode) -> list[page.Block]:
             encode_png(painter.draw(view, step, PIXELS, PIXELS, track=track)[..., ::-1]),
             caption,
             caption,
-            pixelated=True,
         )
         for view, caption in views
     ]
