@@ -79,7 +79,7 @@ def read_episode(path: Path) -> LoggedEpisode:
     table = log.table()
 
     def curve(name: str) -> Curve:
-        return np.asarray(table[name].fill_null(np.nan).to_numpy(), np.float64)
+        return np.asarray(table[name].to_numpy(), np.float64)
 
     return LoggedEpisode(
         path=path,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-import numpy as np
 import polars as pl
 
 from mapreplay.analysis.curves import MILESTONES, area, first_reached
@@ -57,7 +56,7 @@ def episode_metrics(
 def _milestones(
     steps: pl.DataFrame, prefix: str, column: str, budget: int
 ) -> dict[str, float | int | None]:
-    curve = steps[column].fill_null(np.nan).to_numpy()
+    curve = steps[column].to_numpy()
     length = steps["path_length"].to_list()
     numbers: dict[str, float | int | None] = {f"{prefix}area": area(curve, budget)}
     for level in MILESTONES:

@@ -11,9 +11,11 @@ from typing import Any, Final
 
 import polars as pl
 
+from mapreplay.analysis.curves import first_reached
 from mapreplay.config import MapKind
 from mapreplay.errors import UsageError
 from mapreplay.recorders.log import EpisodeLog
+from mapreplay.step import Mode
 
 UNFINISHED: Final = "unfinished"
 WIDTH: Final = 16
@@ -68,8 +70,10 @@ def summarize(log: EpisodeLog, file: str) -> EpisodeRow:
     # An episode that was killed early may have no complete step.
     last = dict.fromkeys(table.columns) if table.is_empty() else table.row(-1, named=True)
     suffix = "observed" if config.build is MapKind.OBSERVED else "fused"
-    mapped = table.filter(pl.col(f"coverage_{suffix}") >= config.coverage)["step"]
-    correct = table.filter(pl.col(f"correct_coverage_{suffix}") >= config.correct_coverage)["step"]
+    # Series and their NumPy arrays: a data-frame query takes longer than all the rest.
+    mapped = first_reached(table[f"coverage_{suffix}"].to_numpy(), config.coverage)
+    right = table[f"correct_coverage_{suffix}"].to_numpy()
+    correct = first_reached(right, config.correct_coverage)
     outcome = log.outcome
     return EpisodeRow(
         file=file,
@@ -85,13 +89,13 @@ def summarize(log: EpisodeLog, file: str) -> EpisodeRow:
         max_steps=log.header.max_steps,
         outcome=outcome.value if outcome else UNFINISHED,
         steps=last["step"] or 0,
-        mapping_time=int(mapped[0]) if len(mapped) else None,
-        correct_time=int(correct[0]) if len(correct) else None,
+        mapping_time=mapped,
+        correct_time=correct,
         path_length=_real(last["path_length"]),
         coverage=_real(last[f"coverage_{suffix}"]),
         correct=_real(last[f"correct_coverage_{suffix}"]),
         f1=_real(last["f1"]),
-        fail_safe_steps=table.filter(pl.col("mode") == "fail-safe").height,
+        fail_safe_steps=int((table["mode"] == Mode.FAIL_SAFE.value).sum()),
     )
 
 

@@ -168,7 +168,7 @@ def _disagreements(
     """Where the two differ at all: both come from the same arithmetic on the same maps."""
     found = []
     for name, values in measured.items():
-        said = recorded[name].fill_null(np.nan).to_numpy()
+        said = recorded[name].to_numpy()
         wrong = ~((said == values) | (np.isnan(said) & np.isnan(values)))
         found += [
             Disagreement(k, name, float(said[k]), float(values[k]))
