@@ -16,6 +16,7 @@ import typer
 
 from mapreplay.cli.bench import bench_app
 from mapreplay.cli.branch import branch
+from mapreplay.cli.bundle import bundle
 from mapreplay.cli.compare import compare
 from mapreplay.cli.diagnose import diagnose
 from mapreplay.cli.diff import diff
@@ -66,8 +67,8 @@ def _mapreplay(
 
 
 for _verb in (
-    run, view, ls, info, metrics, compare, diagnose, diff, branch, whatif, recover, export,
-    floorplans, train, verify, experiment,
+    run, view, ls, info, metrics, compare, diagnose, diff, branch, whatif, bundle, recover,
+    export, floorplans, train, verify, experiment,
 ):  # fmt: skip
     app.command()(_verb)
 app.add_typer(bench_app, name="bench")

@@ -16,6 +16,7 @@ from mapreplay.errors import UsageError
 if TYPE_CHECKING:
     from mapreplay.recorders.frame import Film
     from mapreplay.recorders.log import EpisodeLog
+    from mapreplay.recorders.marks import Mark
     from mapreplay.recorders.replay import Replay
 
 
@@ -41,6 +42,12 @@ def view(
     step: Annotated[
         int | None, typer.Option(help="Start at this step; -1 is the last.", show_default=False)
     ] = None,
+    diagnose: Annotated[
+        bool,
+        typer.Option(
+            "--diagnose", help="Mark what sealed the agent in; start where that happened."
+        ),
+    ] = False,
     save: Annotated[
         Path | None, typer.Option(help="Write a .rrd that opens with this layout.")
     ] = None,
@@ -69,8 +76,10 @@ def view(
     opened = _open(logs)
     chosen = _chosen(maps, len(opened))
     at = None if step is None else _step(step, [opened[number] for number in chosen])
+    marks, sealed_at = _diagnosed(opened, chosen) if diagnose else ([], None)
+    at = sealed_at if at is None else at
     if png or gif or mp4:
-        film = _film([opened[number] for number in chosen], size, theme)
+        film = _film([opened[number] for number in chosen], size, theme, marks)
         _draw(film, at, png, gif, mp4, every, force=force)
         return
     from mapreplay.recorders.replay import replays_of
@@ -78,7 +87,9 @@ def view(
 
     if not asked:
         require_display_here()  # before all the reading
-    _show(replays_of(opened, chosen=chosen), at, save, web=web, force=force)
+    by_log = dict(zip(chosen, marks, strict=False))
+    all_marks = [by_log.get(number, []) for number in range(len(opened))]
+    _show(replays_of(opened, all_marks, chosen), at, save, web=web, force=force)
 
 
 def _open(paths: list[Path]) -> list[EpisodeLog]:
@@ -109,7 +120,20 @@ def _step(step: int, logs: list[EpisodeLog]) -> int:
     return step % count
 
 
-def _film(logs: list[EpisodeLog], size: str, theme: ThemeName) -> Film:
+def _diagnosed(logs: list[EpisodeLog], chosen: list[int]) -> tuple[list[list[Mark]], int | None]:
+    """The marks of each log whose maps are shown, and the step of the first sealing."""
+    from mapreplay.analysis.diagnosis.diagnosis import diagnose
+    from mapreplay.analysis.diagnosis.marks import marks_of
+
+    found = [diagnose(logs[number]) for number in chosen]
+    for number, diagnosis in zip(chosen, found, strict=True):
+        if not diagnosis.sealings:
+            note(f"{logs[number].path}: never sealed in, nothing to mark")
+    steps = [sealing.first_step for diagnosis in found for sealing in diagnosis.sealings]
+    return [marks_of(diagnosis) for diagnosis in found], min(steps, default=None)
+
+
+def _film(logs: list[EpisodeLog], size: str, theme: ThemeName, marks: list[list[Mark]]) -> Film:
     from mapreplay.recorders.frame import Film, Filmed
     from mapreplay.recorders.palette import THEMES
 
@@ -117,7 +141,9 @@ def _film(logs: list[EpisodeLog], size: str, theme: ThemeName) -> Film:
     if match is None:
         raise UsageError(f"--size {size}: should be WIDTHxHEIGHT, such as 1920x1080")
     pixels = (int(match[1]), int(match[2]))
-    return Film([Filmed.of(log) for log in logs], pixels, THEMES[theme])
+    drawn = marks or [[] for _ in logs]
+    filmed = [Filmed.of(log, of) for log, of in zip(logs, drawn, strict=True)]
+    return Film(filmed, pixels, THEMES[theme])
 
 
 def _draw(

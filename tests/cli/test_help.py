@@ -20,6 +20,7 @@ VERBS = [
     "info",
     "metrics",
     "branch",
+    "bundle",
     "diagnose",
     "compare",
     "diff",

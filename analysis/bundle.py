@@ -1,0 +1,160 @@
+"""What a colleague needs to reproduce one failure, in one small file.
+
+A zip of a log, its diagnosis in words, as JSON and as a picture, and what it was made with. The
+names in it are fixed and flat, nothing in it is executable, its manifest lists the SHA-256 and
+size of everything else, and the same log and versions give the same bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import zipfile
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final
+
+import numpy as np
+
+from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, diagnose
+from mapreplay.analysis.diagnosis.marks import sealing_marks
+from mapreplay.analysis.diagnosis.paragraph import paragraph
+from mapreplay.analysis.diagnosis.record import record_of, to_json
+from mapreplay.errors import LogError, UsageError
+from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.metadata import episode_pairs
+from mapreplay.recorders.picture import MapPainter
+from mapreplay.recorders.scene import MapView
+from mapreplay.recorders.writer import EpisodeWriter
+
+SCHEMA: Final = "mapreplay.bundle/1"
+LOG_NAME: Final = "episode.mcap"
+_WHEN: Final = (1980, 1, 1, 0, 0, 0)
+_SIDE: Final = 640
+"""Pixels of the picture's longer side."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bundle:
+    """A zip, and what is in it."""
+
+    data: bytes
+    steps: int
+    """Of the log in it."""
+    whole: bool
+    """Whether that is all of them."""
+
+
+def make_bundle(log: EpisodeLog, until: int | None = None) -> Bundle:
+    """Pack a log, or its steps up to `until`, with its diagnosis.
+
+    A part of a log starts where the log does, so that it can be read, verified and run on from
+    like any other; it is marked as recovered, because its end is not in it.
+
+    Raises:
+        UsageError: there is no step `until`.
+        LogError: the log cannot be read, or has no step.
+    """
+    count = len(log)
+    if count == 0:
+        raise LogError(f"{log.path}: has no step to be packed")
+    last = count - 1 if until is None else until
+    if not 0 <= last < count:
+        raise UsageError(f"--until {until}: {log.path} has steps 0 to {count - 1}")
+    whole = last == count - 1 and log.path.suffix == ".mcap"
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / LOG_NAME
+        if whole:
+            path.write_bytes(log.path.read_bytes())
+        else:
+            _write_part(log, last, path)
+        packed = EpisodeLog(path)
+        diagnosis = diagnose(packed)
+        files = {
+            LOG_NAME: path.read_bytes(),
+            "README.txt": _read_me(packed, diagnosis).encode(),
+            "config.json": _config(packed),
+            "diagnosis.json": to_json(record_of(diagnosis)),
+            "diagnosis.png": _picture(packed, diagnosis),
+            "diagnosis.txt": (paragraph(diagnosis, LOG_NAME) + "\n").encode(),
+        }
+    return Bundle(_zip(files), last + 1, last == count - 1)
+
+
+def _write_part(log: EpisodeLog, last: int, path: Path) -> None:
+    writer = EpisodeWriter(path, log.header, profile=True)
+    with writer:
+        for step in islice(log.steps(), last + 1):
+            writer.write(step)
+        writer.close_recovered()
+
+
+def _config(log: EpisodeLog) -> bytes:
+    """What the episode was made with: the log's own record, with its JSON values opened."""
+    pairs = episode_pairs(log.header)
+    opened = {
+        key: json.loads(value) if key in {"config", "start", "versions", "branch"} else value
+        for key, value in pairs.items()
+    }
+    return (json.dumps(opened, indent=1) + "\n").encode()
+
+
+def _picture(log: EpisodeLog, diagnosis: Diagnosis) -> bytes:
+    """The fused map at the first sealing with its marks, or at the last step."""
+    import cv2
+
+    sealing = diagnosis.sealings[0] if diagnosis.sealings else None
+    step = log[sealing.first_step if sealing else -1]
+    cells = log.table().select("row", "col").to_numpy().astype(np.int32)[: step.index + 1]
+    marks = sealing_marks(sealing) if sealing else []
+    picture = MapPainter.of(log.header).draw(
+        MapView.FUSED, step, _SIDE, _SIDE, track=cells, marks=marks
+    )
+    done, data = cv2.imencode(".png", picture[..., ::-1])
+    if not done:
+        raise LogError(f"{log.path}: its picture could not be encoded")
+    return bytes(data)
+
+
+def _read_me(log: EpisodeLog, diagnosis: Diagnosis) -> str:
+    what_if = ""
+    if diagnosis.sealings:
+        at = diagnosis.sealings[0].first_step
+        what_if = f"    mapreplay branch {LOG_NAME} --at {at} --with truth   what if?\n"
+    weights = log.header.predictor.sha256 or "none"
+    return (
+        f"An episode on {log.header.floor_plan.id}, recorded by {log.header.simulator}.\n"
+        f"Predictor {log.header.predictor.name}, weights {weights}.\n\n"
+        f"    mapreplay diagnose {LOG_NAME}   why was it sealed in?\n"
+        f"    mapreplay view {LOG_NAME}       look\n"
+        f"    mapreplay verify {LOG_NAME}     prove that the log is true\n"
+        f"{what_if}\n"
+        "manifest.json has the SHA-256 of every file.\n"
+    )
+
+
+def _zip(files: dict[str, bytes]) -> bytes:
+    """Sorted, without dates, owners or paths; the manifest comes first."""
+    manifest = {
+        "schema": SCHEMA,
+        "files": [
+            {"name": name, "bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+            for name, data in sorted(files.items())
+        ],
+    }
+    entries = {"manifest.json": (json.dumps(manifest, indent=1) + "\n").encode()}
+    entries |= dict(sorted(files.items()))
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, data in entries.items():
+            info = zipfile.ZipInfo(name, _WHEN)
+            info.create_system = 3
+            info.external_attr = 0o100644 << 16
+            # Logs and pictures are compressed already.
+            stored = name.endswith((".mcap", ".png"))
+            info.compress_type = zipfile.ZIP_STORED if stored else zipfile.ZIP_DEFLATED
+            archive.writestr(info, data, compresslevel=9)
+    return buffer.getvalue()
