@@ -31,7 +31,7 @@ from mapreplay.analysis.experiment.table import (
     plan_reductions,
     reading_order,
 )
-from mapreplay.analysis.statistics import Estimate, mean_interval
+from mapreplay.analysis.statistics import mean_interval
 from mapreplay.recorders.palette import (
     BLUE,
     GREEN,
@@ -77,13 +77,13 @@ def performance_figure(rows: Sequence[Row], summaries: Sequence[Summary]) -> Fig
 
     `summaries` are those of `rows`.
     """
-    reductions = {summary.arm: summary.reduction for summary in summaries}
+    by_arm = {summary.arm: summary for summary in summaries}
     shown = [row for row in rows if row.predictor not in CONTROLS]
     datasets = sorted({row.dataset for row in shown})
     figure = Figure(figsize=(1 + 4.6 * len(datasets), 4.6), layout="constrained")
     panels = figure.subplots(1, len(datasets), sharey=True, squeeze=False)[0]
     for axes, dataset in zip(panels, datasets, strict=True):
-        _performance_panel(axes, [row for row in shown if row.dataset == dataset], reductions)
+        _performance_panel(axes, [row for row in shown if row.dataset == dataset], by_arm)
         axes.set_title(dataset)
     panels[0].set_ylabel("reduction of mapping time\nagainst observed/observed Nearest Frontier")
     used = {(arm.maps, arm.fail_safe) for arm in map(Arm.of, shown) if not arm.is_reference}
@@ -93,14 +93,18 @@ def performance_figure(rows: Sequence[Row], summaries: Sequence[Summary]) -> Fig
         if key in used
     ]
     marks.append(
+        Line2D([], [], color="black", marker="o", mfc="white", linestyle="",
+               label="mean where both finished")
+    )  # fmt: skip
+    marks.append(
         Line2D([], [], color="black", marker="D", fillstyle="none", linestyle="",
                label="the paper, on its own data")
     )  # fmt: skip
-    figure.legend(handles=marks, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    figure.legend(handles=marks, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
     return figure
 
 
-def _performance_panel(axes: Axes, rows: Sequence[Row], reductions: Mapping[Arm, Estimate]) -> None:
+def _performance_panel(axes: Axes, rows: Sequence[Row], summaries: Mapping[Arm, Summary]) -> None:
     arms: dict[Arm, list[Row]] = {}
     for row in rows:
         arms.setdefault(Arm.of(row), []).append(row)
@@ -118,15 +122,19 @@ def _performance_panel(axes: Axes, rows: Sequence[Row], reductions: Mapping[Arm,
             dots = np.maximum(effects, _FLOOR)
             spread = chance.uniform(-0.3, 0.3, dots.size) * width
             axes.scatter(x + spread, dots, s=5, color=colour, alpha=0.35, linewidths=0, zorder=2)
-            estimate = reductions[arm]
+            estimate = summaries[arm].reduction
+            finished = summaries[arm].reduction_finished.mean
             axes.bar(x, estimate.mean, 0.8 * width, color=colour, alpha=0.4, zorder=1)
             axes.plot([x, x], [estimate.low, estimate.high], color="black", lw=1.6, zorder=3)
             axes.plot(x, estimate.mean, "o", color="black", ms=3.5, zorder=4)
+            if abs(finished - estimate.mean) > 0.005:
+                axes.plot(x, finished, "o", color="black", mfc="white", ms=4.5, zorder=4)
             below = int((effects < _FLOOR).sum())
             if below:
                 axes.annotate(
                     f"{below}", (x, _FLOOR), (0, -2), textcoords="offset points",
-                    ha="center", va="top", fontsize=7,
+                    ha="center", va="top", fontsize=7, zorder=5,
+                    bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.85},
                 )  # fmt: skip
             paper = PAPER.get((arm.dataset, planner))
             if paper is not None and arm.maps == "fused/fused":
