@@ -1,1 +1,66 @@
-"""What it means: metrics of logs, and what a predictor or planner was worth."""
+"""What it means: metrics of logs, comparison, diff, what-if, diagnosis and experiments.
+
+    log = EpisodeLog(path)
+    measure_log(log).steps                        # a polars frame, one row a step
+    diff_logs(log, other).cause                   # where two episodes part
+    what_if(log, [0.9, 0.95], [0.9, 0.95]).f1     # float64[steps, 2, 2]
+    compare(group_episodes(map(read_episode, paths), ["planner"]), "nearest")
+
+Every analysis is a pure function from logs to a typed result, and a ``..._frame`` makes a table
+of it. The names below are imported when they are first used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mapreplay.analysis.comparison import compare, comparison_frame
+    from mapreplay.analysis.corpus import pair, read_episode
+    from mapreplay.analysis.diff import diff_frame, diff_logs
+    from mapreplay.analysis.episode_metrics import episode_metrics
+    from mapreplay.analysis.groups import group_episodes
+    from mapreplay.analysis.measurements import measure_log
+    from mapreplay.analysis.parting import find_partings
+    from mapreplay.analysis.whatif import what_if, what_if_frame
+
+__all__ = [
+    "compare",
+    "comparison_frame",
+    "diff_frame",
+    "diff_logs",
+    "episode_metrics",
+    "find_partings",
+    "group_episodes",
+    "measure_log",
+    "pair",
+    "read_episode",
+    "what_if",
+    "what_if_frame",
+]
+
+_HOMES = {
+    "compare": "comparison",
+    "comparison_frame": "comparison",
+    "diff_frame": "diff",
+    "diff_logs": "diff",
+    "episode_metrics": "episode_metrics",
+    "find_partings": "parting",
+    "group_episodes": "groups",
+    "measure_log": "measurements",
+    "pair": "corpus",
+    "read_episode": "corpus",
+    "what_if": "whatif",
+    "what_if_frame": "whatif",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'mapreplay.analysis' has no attribute {name!r}")
+    return getattr(import_module(f"mapreplay.analysis.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,4 +1,4 @@
-"""The README's Python runs as it stands."""
+"""The Python of the documents runs as it stands, and their links lead somewhere."""
 
 import re
 from pathlib import Path
@@ -19,6 +19,19 @@ def test_the_python_of_the_readme_runs(
     printed = capsys.readouterr().out
     assert "Candidate(" in printed
     assert "shape: (105, " in printed
+
+
+def test_the_python_of_the_analysis_page_runs(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = (ROOT / "docs/analysis.md").read_text(encoding="utf-8")
+    code = re.search(r"```python\n(.*?)```", page, re.DOTALL)
+    assert code is not None
+    monkeypatch.chdir(ROOT)
+    exec(compile(code[1], "analysis.md", "exec"), {})
+    printed = capsys.readouterr().out
+    assert "(105, 2, 2)" in printed
+    assert printed.strip().endswith("0.8")
 
 
 def test_every_link_of_the_documents_leads_somewhere() -> None:

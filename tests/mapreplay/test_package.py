@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 import mapreplay
+from mapreplay import analysis
 
 ROOT = Path(__file__).parents[2]
 
@@ -16,6 +17,14 @@ def test_every_public_name_is_there() -> None:
         assert getattr(mapreplay, name) is not None
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         mapreplay.nothing  # noqa: B018
+
+
+def test_every_public_name_of_the_analysis_is_there() -> None:
+    assert analysis.__all__ == sorted(analysis.__all__)
+    for name in analysis.__all__:
+        assert getattr(analysis, name).__name__ == name
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        analysis.nothing  # noqa: B018
 
 
 def imports(path: Path) -> set[str]:
