@@ -109,7 +109,10 @@ def _text(result: Comparison) -> list[str | Command | pl.DataFrame]:
         f"Groups by {by}: {len(result.groups)}. Floor plans: {plans}. Target: {result.target}.",
         pl.DataFrame(
             {
-                "group": [textwrap.fill(group.name, GROUP_WIDTH, break_on_hyphens=False) for group in result.groups],
+                "group": [
+                    textwrap.fill(group.name, GROUP_WIDTH, break_on_hyphens=False)
+                    for group in result.groups
+                ],
                 "runs": [group.episodes for group in result.groups],
                 **{
                     outcome.split("_")[0]: [dict(g.outcomes)[outcome] for g in result.groups]
