@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from mapreplay.floorplans import open_source
     from mapreplay.foreign import ForeignEpisode, unknown_floor_plan
     from mapreplay.recorders.log import EpisodeLog
+    from mapreplay.recorders.notebook import show
     from mapreplay.recorders.writer import EpisodeWriter
     from mapreplay.step import EpisodeHeader, Step
 
@@ -34,6 +35,7 @@ __all__ = [
     "open_source",
     "prepare_episode",
     "run_episode",
+    "show",
     "unknown_floor_plan",
 ]
 
@@ -49,6 +51,7 @@ _HOMES = {
     "open_source": "mapreplay.floorplans",
     "prepare_episode": "mapreplay.episode",
     "run_episode": "mapreplay.episode",
+    "show": "mapreplay.recorders.notebook",
     "unknown_floor_plan": "mapreplay.foreign",
 }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
+from functools import lru_cache
 from itertools import chain
 from pathlib import Path
 from typing import Final
@@ -14,6 +15,16 @@ from PIL import Image
 
 from mapreplay.errors import LogError
 from mapreplay.recorders.frame import Film
+from mapreplay.recorders.palette import (
+    CELL_COLOURS,
+    CURVE_COLOURS,
+    DARK,
+    LIGHT,
+    STATE_COLOURS,
+    THEMES,
+    YELLOW,
+    viridis,
+)
 from mapreplay.recorders.picture import Picture
 
 FRAMES_PER_SECOND: Final = 10.0
@@ -47,21 +58,14 @@ def save_gif(path: Path, film: Film, every: int = 1, *, force: bool = False) -> 
     def write(part: Path) -> None:
         frames = film.frames(every)
         first = next(frames)
-        # One palette for all frames: what does not move does not flicker, and is not stored.
-        palette = Image.fromarray(first).quantize(255, dither=Image.Dither.NONE)
-
-        def quantized(picture: Picture) -> Image.Image:
-            image = Image.fromarray(picture)
-            return image.quantize(palette=palette, dither=Image.Dither.NONE)
-
         tick = 1000 / FRAMES_PER_SECOND
         count = _count(film, every)
         durations = [tick] * (count - 1) + [_LAST_SECONDS * 1000]
-        quantized(first).save(
+        few_colours(first).save(
             part,
             format="GIF",
             save_all=True,
-            append_images=(quantized(frame) for frame in frames),
+            append_images=(few_colours(frame) for frame in frames),
             duration=[round(d) for d in durations],
             loop=0,
             optimize=False,
@@ -98,6 +102,30 @@ def save_mp4(path: Path, film: Film, every: int = 1, *, force: bool = False) -> 
             writer.release()
 
     _write(path, write, force=force)
+
+
+def few_colours(picture: Picture) -> Image.Image:
+    """The picture in 255 fixed colours, ours among them: nothing flickers in a film, and what
+    has a meaning keeps its colour.
+    """
+    return Image.fromarray(picture).quantize(palette=_palette(), dither=Image.Dither.NONE)
+
+
+@lru_cache(maxsize=1)
+def _palette() -> Image.Image:
+    named = [*CELL_COLOURS.values(), *CURVE_COLOURS.values(), *STATE_COLOURS.values(), YELLOW]
+    for theme in THEMES.values():
+        named += [theme.paper, theme.ink, theme.faint, theme.line]
+    distinct = np.array(list(dict.fromkeys(named)), np.float64)
+    # Edges of lines and of letters are half of them.
+    light = np.rint((distinct + LIGHT.paper) / 2)
+    dark = np.rint((distinct + DARK.paper) / 2)
+    greys = np.linspace(0, 255, 40).repeat(3).reshape(-1, 3)
+    fixed = np.concatenate([distinct, light, dark, greys])
+    ramp = viridis()[np.linspace(0, 255, 255 - len(fixed)).astype(int)]
+    image = Image.new("P", (1, 1))
+    image.putpalette(np.concatenate([fixed, ramp]).astype(np.uint8).tobytes())
+    return image
 
 
 def _cropped(picture: Picture, size: tuple[int, int]) -> Picture:

@@ -236,7 +236,7 @@ def _below_several(panes: Sequence[Pane]) -> rrb.Container:
     words.append(_events_view(shown))
     return rrb.Horizontal(
         rrb.Vertical(
-            rrb.Horizontal(*plots), _state_view(panes), row_shares=[7, 1 + 2 * len(shown)]
+            rrb.Horizontal(*plots), _state_view(panes), row_shares=[7, 1 + 1.5 * len(shown)]
         ),
         *words,
         column_shares=[12, *[5] * len(words)],
@@ -255,9 +255,7 @@ def _curves_view(name: str, paths: Sequence[str]) -> rrb.TimeSeriesView:
 
 def _state_view(panes: Sequence[Pane]) -> rrb.StateTimelineView:
     paths = [Entity.STATE.below(pane.root) for pane in panes if pane.has_maps]
-    return rrb.StateTimelineView(
-        origin="/", name="State", contents=[*paths, f"{PARTING}/**"], titlebar=False
-    )
+    return rrb.StateTimelineView(origin="/", name="State", contents=paths, titlebar=False)
 
 
 def _decision_view(pane: Pane) -> rrb.TextDocumentView:

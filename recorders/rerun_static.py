@@ -47,8 +47,6 @@ _LEGEND_WIDTH: Final = 1240.0
 """Points: the narrowest window that the layout is made for, less its margins."""
 _LEGEND_SCALE: Final = 2.0
 _THIN: Final = (Curve.PRECISION, Curve.RECALL)
-_SAME: Final = "same"
-_PARTED: Final = "parted"
 
 
 def send_static(
@@ -132,35 +130,28 @@ def send_legend(recording: rr.RecordingStream, replays: Sequence[Replay]) -> Non
     recording.log(NOTE, rr.TextDocument("This episode has none."), static=True)
 
 
-def send_parting(recording: rr.RecordingStream, name: str, step: int | None) -> None:
-    """Send where an episode parts from the first one: a line through the curves, a band, an event.
+def send_parting(recording: rr.RecordingStream, name: str, step: int) -> None:
+    """Send where an episode parts from the first one: a line through the curves, and an event.
 
     Args:
         recording: where to.
         name: of the episode that parts.
-        step: the first step at which they differ; None if they never do.
+        step: the first step at which they differ.
     """
-    path = f"{PARTING}/{name[:1]}"
-    style = rr.StateConfiguration(values=[_SAME, _PARTED], colors=[(120, 120, 120), PLAN_COLOUR])
-    recording.log(path, style, static=True)
-    changes = {0: _SAME} if step != 0 else {}
-    if step is not None:
-        changes[step] = _PARTED
-        index = rr.TimeColumn(TIMELINE, sequence=[step])
-        text = f"{name[:1]} parts from the first at step {step}"
-        recording.send_columns(f"{PARTING}/events", [index], rr.TextLog.columns(text=[text]))
-        at = f"{PARTING}/at/{name[:1]}"
-        line = rr.SeriesLines(
-            colors=[(150, 150, 150)],
-            names=[f"{name[:1]} parts here"],
-            widths=[1.5],
-            aggregation_policy=rr.components.AggregationPolicy.Off,
-        )
-        recording.log(at, line, static=True)
-        index = rr.TimeColumn(TIMELINE, sequence=[step, step])
-        recording.send_columns(at, [index], rr.Scalars.columns(scalars=[0.0, 1.0]))
-    index = rr.TimeColumn(TIMELINE, sequence=list(changes))
-    recording.send_columns(path, [index], rr.StateChange.columns(state=list(changes.values())))
+    index = rr.TimeColumn(TIMELINE, sequence=[step])
+    text = f"{name[:1]} parts from the first at step {step}"
+    recording.send_columns(f"{PARTING}/events", [index], rr.TextLog.columns(text=[text]))
+    path = f"{PARTING}/at/{name[:1]}"
+    line = rr.SeriesLines(
+        colors=[(150, 150, 150)],
+        names=[f"{name[:1]} parts here"],
+        widths=[1.5],
+        aggregation_policy=rr.components.AggregationPolicy.Off,
+    )
+    recording.log(path, line, static=True)
+    # Two values at one step are a vertical line.
+    index = rr.TimeColumn(TIMELINE, sequence=[step, step])
+    recording.send_columns(path, [index], rr.Scalars.columns(scalars=[0.0, 1.0]))
 
 
 def describe(header: EpisodeHeader) -> str:

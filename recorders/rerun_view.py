@@ -129,7 +129,7 @@ class LiveView:
         sink = sink or native_viewer()
         replay = Replay(header)
         panes = panes_of([replay])
-        self._recording = _new_recording([replay], panes)
+        self._recording = new_recording([replay], panes)
         sink(self._recording, layout(panes, rrb.components.PlayState.Following))
         send_legend(self._recording, [replay])
         self._columns = EpisodeColumns(self._recording, header)
@@ -291,20 +291,18 @@ def panes_of(replays: Sequence[Replay]) -> list[Pane]:
 def send(recording: rr.RecordingStream, replays: Sequence[Replay], panes: Sequence[Pane]) -> None:
     """Send whole episodes to where their panes are."""
     send_legend(recording, [replay for replay in replays if replay.has_maps])
-    first = True
     for replay, pane in zip(replays, panes, strict=True):
         if not replay.has_maps:
             send_scores(recording, replay, pane.root, pane.name)
             continue
-        if not first:
+        if replay.parts_at is not None:
             send_parting(recording, pane.name, replay.parts_at)
         send_episode(recording, replay, pane.root, pane.name)
-        first = False
 
 
 def _show(replays: Sequence[Replay], sink: Sink) -> None:
     panes = panes_of(replays)
-    recording = _new_recording(replays, panes)
+    recording = new_recording(replays, panes)
     try:
         sink(recording, layout(panes))
         send(recording, replays, panes)
@@ -316,7 +314,7 @@ def _show(replays: Sequence[Replay], sink: Sink) -> None:
 def _encoded(replays: Sequence[Replay]) -> bytes:
     """What an .rrd file contains. To let Rerun write it would wait for ever on a full disk."""
     panes = panes_of(replays)
-    recording = _new_recording(replays, panes)
+    recording = new_recording(replays, panes)
     try:
         stream = rr.binary_stream(recording)
         recording.send_blueprint(layout(panes))
@@ -327,7 +325,8 @@ def _encoded(replays: Sequence[Replay]) -> bytes:
         recording.disconnect()
 
 
-def _new_recording(replays: Sequence[Replay], panes: Sequence[Pane]) -> rr.RecordingStream:
+def new_recording(replays: Sequence[Replay], panes: Sequence[Pane]) -> rr.RecordingStream:
+    """A recording that is named after the episodes, and goes nowhere yet."""
     recording = rr.RecordingStream(application_id(panes))
     names = [replay.header.file_name.removesuffix(".mcap") for replay in replays]
     recording.send_recording_name(names[0] if len(names) == 1 else f"{len(names)} episodes")

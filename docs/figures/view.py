@@ -1,6 +1,7 @@
 """A picture of `mapreplay view`: the real viewer, rendered without a display.
 
-    python docs/figures/view.py LOG STEP [-o view.png]
+    python docs/figures/view.py LOG [LOG] --step STEP -o view.png
+    python docs/figures/view.py LOG --plain --step STEP -o plain.png    # what `rerun LOG` shows
 
 Needs Vulkan; software Vulkan will do (Debian: mesa-vulkan-drivers).
 """
@@ -12,56 +13,82 @@ import socket
 import subprocess
 import tempfile
 import time
+from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
 
-import cv2
 import numpy as np
-import rerun_cli
+from PIL import Image
 from rerun.experimental import ViewerClient
 
+from mapreplay.recorders.film import few_colours
 from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.replay import Replay
-from mapreplay.recorders.rerun_view import save_rrd
+from mapreplay.recorders.replay import replays_of
+from mapreplay.recorders.rerun_view import save_rrd, viewer_program
 
-NOTICES_SECONDS = 8
+NOTICES_SECONDS = 10
 """How long notices of the viewer's start cover a part of it."""
-TITLE_BAR = 34
+TITLE_BAR = 37
 """Pixels at the top that belong to the window and not to the view."""
+ATTEMPTS = 5
 
 
-def screenshot(log: EpisodeLog, step: int) -> bytes:
-    """The viewer at `step`, 1600 x 900 pixels, as PNG."""
-    with tempfile.TemporaryDirectory() as folder, socket.socket() as probe:
-        rrd = Path(folder) / "episode.rrd"
-        save_rrd(rrd, [Replay.of(log)])
+def screenshot(file: Path, timeline: str | None, step: int, size: str) -> bytes:
+    """The viewer with `file` open, as PNG; with no timeline at its first moment."""
+    with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-        probe.close()
-        program = Path(rerun_cli.__file__).parent / "rerun"
-        options = ["--headless", "--bind=127.0.0.1", f"--port={port}", "--window-size=1600x900"]
-        with subprocess.Popen([program, *options, "--hide-welcome-screen"]) as viewer:  # noqa: S603
-            time.sleep(2)
-            client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
-            client.open(str(rrd))
-            client.set_time("step", sequence=step, play_state="paused")
+    options = ["--headless", "--bind=127.0.0.1", f"--port={port}", f"--window-size={size}"]
+    with subprocess.Popen([viewer_program(), *options, "--hide-welcome-screen"]) as viewer:  # noqa: S603
+        try:
+            client = patiently(
+                lambda: ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy"), seconds=2
+            )
+            patiently(lambda: client.open(str(file)), seconds=2)
             time.sleep(NOTICES_SECONDS)
-            png = client.take_screenshot()
+            if timeline:
+                client.set_time(timeline, sequence=step, play_state="paused")
+                time.sleep(1)
+            return patiently(client.take_screenshot, seconds=1)
+        finally:
             viewer.terminate()
-    return png
+
+
+def patiently(work, seconds):  # type: ignore[no-untyped-def]
+    """What `work` gives, after some more attempts if a busy machine is slow."""
+    for attempt in range(ATTEMPTS):
+        try:
+            return work()
+        except (ConnectionError, TimeoutError):
+            if attempt == ATTEMPTS - 1:
+                raise
+            time.sleep(seconds)
+    return None
+
+
+def picture_of(logs: Sequence[Path], step: int, size: str, *, plain: bool) -> bytes:
+    """The viewer with our layout, or with the first log as it is."""
+    if plain:
+        return screenshot(logs[0].resolve(), None, step, size)
+    with tempfile.TemporaryDirectory() as folder:
+        rrd = Path(folder) / "episode.rrd"
+        save_rrd(rrd, replays_of([EpisodeLog(log) for log in logs]))
+        return screenshot(rrd, "step", step, size)
 
 
 def main() -> None:
-    """Take the picture and write it without the window's title bar."""
+    """Take the picture and write it without the window's title bar, in few colours."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("log", type=Path)
-    parser.add_argument("step", type=int)
+    parser.add_argument("logs", type=Path, nargs="+")
+    parser.add_argument("--step", type=int, default=0)
+    parser.add_argument("--plain", action="store_true")
+    parser.add_argument("--size", default="1600x900")
     parser.add_argument("-o", "--output", type=Path, default=Path("view.png"))
     arguments = parser.parse_args()
-    png = np.frombuffer(screenshot(EpisodeLog(arguments.log), arguments.step), np.uint8)
-    picture = cv2.imdecode(png, cv2.IMREAD_COLOR)
-    if picture is None:
-        raise SystemExit("the viewer gave no picture")
-    cv2.imwrite(str(arguments.output), picture[TITLE_BAR:])
+    png = picture_of(arguments.logs, arguments.step, arguments.size, plain=arguments.plain)
+    with Image.open(BytesIO(png)) as picture:
+        cut = picture.convert("RGB").crop((0, TITLE_BAR, picture.width, picture.height))
+        few_colours(np.asarray(cut)).save(arguments.output, optimize=True)
 
 
 if __name__ == "__main__":

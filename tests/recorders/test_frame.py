@@ -13,10 +13,11 @@ import pytest
 
 from mapreplay.errors import UsageError
 from mapreplay.foreign import ForeignEpisode, unknown_floor_plan
+from mapreplay.recorders.film import few_colours
 from mapreplay.recorders.frame import Film, Filmed
 from mapreplay.recorders.log import EpisodeLog
 from mapreplay.recorders.marks import Mark
-from mapreplay.recorders.palette import DARK, LIGHT, YELLOW, Theme
+from mapreplay.recorders.palette import CELL_COLOURS, DARK, LIGHT, YELLOW, Theme
 from mapreplay.recorders.picture import Picture
 from mapreplay.recorders.writer import EpisodeWriter
 from recordings import record, two_rooms
@@ -112,3 +113,12 @@ def test_sizes_and_numbers_of_episodes_are_checked(rooms: Filmed) -> None:
         Film([rooms], (100, 100))
     with pytest.raises(UsageError, match="3 episodes; a picture shows one or two"):
         Film([rooms] * 3)
+
+
+def test_few_colours_keep_those_that_have_a_meaning(rooms: Filmed) -> None:
+    frame = Film([rooms], SIZE, LIGHT).frame(3)
+    few = np.asarray(few_colours(frame).convert("RGB"))
+    for colour in (*CELL_COLOURS.values(), YELLOW, LIGHT.paper):
+        exact = (frame == colour).all(axis=2)
+        assert (few[exact] == colour).all()
+    assert np.abs(few.astype(int) - frame).mean() < 3

@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 import psutil
@@ -29,7 +28,6 @@ from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from mapreplay.recorders import rerun_columns, rerun_view
 from mapreplay.recorders.palette import (
     AGENT_COLOUR,
-    CELL_COLOURS,
     FRONTIER_COLOUR,
     RIVALS_COLOUR,
     CellClass,
@@ -37,8 +35,18 @@ from mapreplay.recorders.palette import (
 from mapreplay.recorders.replay import Replay
 from mapreplay.recorders.rerun_columns import send_episode
 from mapreplay.recorders.rerun_view import LiveView, WebServer, save_rrd, serve_web
-from mapreplay.recorders.scene import decision_words, error_classes, rays_of
+from mapreplay.recorders.scene import cell_classes, decision_words, error_classes, rays_of
 from mapreplay.step import Step
+from viewer import (
+    LATTICE,
+    Screenshot,
+    agreement,
+    controls,
+    samples,
+    seen_classes,
+    seen_levels,
+    viewer_on,
+)
 
 HOUSE = """
     #######################
@@ -429,88 +437,11 @@ def receive(address: str, path: Path) -> Recorded:
 
 # --- What is seen, in the real viewer ------------------------------------------------------
 
-Screenshot = Callable[[int, str], npt.NDArray[np.uint8]]
-"""(step, name of a view) -> uint8[h, w, 3], RGB."""
-
 
 @pytest.fixture(scope="module")
 def screenshot(saved: Path) -> Iterator[Screenshot]:
-    from rerun.experimental import ViewerClient
-
-    port = rerun_view._free_port(None)
-    options = ("--headless", "--window-size=1600x900", "--hide-welcome-screen")
-    with rerun_view._viewer(f"--port={port}", *options) as process:
-        try:
-            rerun_view._await(
-                lambda: process.poll() is not None or rerun_view._answers(port), "the viewer"
-            )
-            time.sleep(1)  # without a graphics adapter it ends a moment after it listens
-            if process.poll() is not None:
-                pytest.skip("the Rerun viewer needs Vulkan: install mesa-vulkan-drivers")
-            client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
-            client.open(str(saved))
-            views = {view.name: view.view_id for view in client.get_state().views}
-
-            def shoot(step: int, view: str) -> npt.NDArray[np.uint8]:
-                client.set_time("step", sequence=step, play_state="paused")
-                png = np.frombuffer(client.take_screenshot(views[view]), np.uint8)
-                image: npt.NDArray[np.uint8] = cv2.imdecode(png, cv2.IMREAD_COLOR)[..., ::-1]
-                return image
-
-            time.sleep(7)  # notices of the start cover a part of the views
-            yield shoot
-        finally:
-            process.terminate()
-
-
-LATTICE = 9
-"""Pixels along a cell: enough to find some between the rays in the agent's own cell."""
-
-
-def samples(image: npt.NDArray[np.uint8], shape: tuple[int, int]) -> npt.NDArray[np.int64]:
-    """int64[H, W, LATTICE**2, 3]: a lattice of pixels in each cell, row 0 on top.
-
-    The picture is found as the bounding box of all that is not the view's background.
-    """
-    rows, cols = np.nonzero((image != image[0, 0]).any(axis=2))
-    top, left = rows.min(), cols.min()
-    height, width = rows.max() + 1 - top, cols.max() + 1 - left
-    assert width / height == pytest.approx(shape[1] / shape[0], rel=0.02)
-    inner = np.linspace(0.1, 0.9, LATTICE)
-    ys = (top + (np.arange(shape[0])[:, None] + inner) * height / shape[0]).astype(int)
-    xs = (left + (np.arange(shape[1])[:, None] + inner) * width / shape[1]).astype(int)
-    lattice = image[ys[:, None, :, None], xs[None, :, None, :]]
-    return lattice.reshape(*shape, LATTICE**2, 3).astype(np.int64)
-
-
-def seen_classes(image: npt.NDArray[np.uint8], shape: tuple[int, int]) -> npt.NDArray[np.int64]:
-    """int64[H, W], row 0 at the bottom: the class whose colour most of a cell's pixels have.
-
-    Pixels of rays, points and lines have none of these colours, and do not count.
-    """
-    palette = np.array([CELL_COLOURS[c] for c in CellClass])
-    near = np.abs(samples(image, shape)[..., None, :] - palette).max(axis=-1) <= 2
-    votes = near.sum(axis=2)
-    return np.where(votes.max(axis=-1) > 0, votes.argmax(axis=-1), -1)[::-1]
-
-
-def agreement(seen: npt.NDArray[Any], expected: npt.NDArray[Any], tolerance: int = 0) -> float:
-    return float((np.abs(seen.astype(int) - expected.astype(int)) <= tolerance).mean())
-
-
-def controls(expected: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
-    """What a wrong view would show."""
-    side = min(expected.shape)
-    transposed = expected.copy()
-    transposed[:side, :side] = expected[:side, :side].T
-    return {
-        "flipped": expected[::-1],
-        "mirrored": expected[:, ::-1],
-        "turned": expected[::-1, ::-1],
-        "transposed": transposed,
-        "a row higher": np.roll(expected, 1, axis=0),
-        "a column to the right": np.roll(expected, 1, axis=1),
-    }
+    with viewer_on(saved) as shoot:
+        yield shoot
 
 
 def test_every_cell_is_seen_where_it_lies(
@@ -542,14 +473,8 @@ def test_every_cell_is_seen_where_it_lies(
 def test_the_prediction_is_seen_where_it_lies(
     screenshot: Screenshot, episode: Episode, steps: list[Step]
 ) -> None:
-    ramp = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_VIRIDIS)
-    viridis = ramp[:, 0, ::-1].astype(np.int64)
     for k in (0, 13):
-        image = screenshot(k, "Predicted P(wall)")
-        lattice = samples(image, episode.header.floor_plan.shape)
-        distances = np.abs(lattice[..., None, :] - viridis).max(axis=-1)
-        levels = np.where(distances.min(axis=-1) <= 12, distances.argmin(axis=-1), -1000)
-        seen = np.median(levels, axis=-1)[::-1]  # lines cover less than half of a cell
+        seen = seen_levels(screenshot(k, "Predicted P(wall)"), episode.header.floor_plan.shape)
         right = steps[k].p_wall
         assert right is not None
         assert agreement(seen, right, tolerance=6) == 1.0
@@ -581,3 +506,35 @@ def test_agent_and_frontier_are_seen_on_their_cells(
         assert not any(
             is_at((r, c + 1), FRONTIER_COLOUR) for r, c in free if [r, c + 1] not in free
         )
+
+
+@pytest.mark.slow
+def test_of_two_episodes_every_cell_is_seen_in_its_own_row(
+    episode: Episode, steps: list[Step], tmp_path: Path
+) -> None:
+    other = prepare(planner="random", seed=5)
+    walks = {"A": steps, "B": list(run_episode(other))}
+    headers = {"A": episode.header, "B": other.header}
+    rrd = tmp_path / "two.rrd"
+    save_rrd(rrd, [Replay(headers[name], walk) for name, walk in walks.items()])
+    shape = episode.header.floor_plan.shape
+    truth = episode.header.floor_plan.cells
+    with viewer_on(rrd) as shoot:
+        for k in (4, 15, 29):
+            for name, walk in walks.items():
+                step, stranger = walk[k], walks["B" if name == "A" else "A"][k]
+                right = {
+                    "Observed": (cell_classes(step.observed), cell_classes(stranger.observed)),
+                    "Fused": (cell_classes(step.fused), cell_classes(stranger.fused)),
+                    "Error of fused": (
+                        error_classes(step.fused, truth, episode.explorable),
+                        error_classes(stranger.fused, truth, episode.explorable),
+                    ),
+                }
+                for view, (expected, wrong) in right.items():
+                    seen = seen_classes(shoot(k, f"{name}  {view}"), shape)
+                    assert np.argwhere(seen != expected).tolist() == [], (k, name, view)
+                    assert agreement(seen, wrong) < 1.0, (k, name, view, "the other episode's")
+                assert step.p_wall is not None
+                levels = seen_levels(shoot(k, f"{name}  Predicted P(wall)"), shape)
+                assert agreement(levels, step.p_wall, tolerance=6) == 1.0
