@@ -17,7 +17,7 @@ from time import process_time
 from typing import Final
 
 from mapreplay.analysis.benchmark_log import four_in_a_square
-from mapreplay.config import EpisodeConfig
+from mapreplay.config import EpisodeConfig, MapKind
 from mapreplay.episode import prepare_episode, run_episode
 from mapreplay.errors import MapreplayError, UsageError
 from mapreplay.floorplan import FloorPlan
@@ -68,8 +68,8 @@ def record_long(path: Path, plan: FloorPlan, steps: int, predictor: Predictor) -
     config = EpisodeConfig(
         planner="nearest",
         predictor=predictor.identity.name,
-        plan_on="observed",
-        build="observed",
+        plan_on=MapKind.OBSERVED,
+        build=MapKind.OBSERVED,
         coverage=1.0,
         max_steps=max(1, steps - 1),
     )
@@ -96,7 +96,7 @@ def measure_view(log: Path, rounds: int) -> Iterator[ViewMeasurement]:
             save_rrd(ours, [Replay.of(EpisodeLog(log))], force=True)
 
         def importer() -> None:
-            command = [viewer_program(), "mcap", "convert", log, "-o", theirs]
+            command = [str(viewer_program()), "mcap", "convert", str(log), "-o", str(theirs)]
             done = subprocess.run(command, capture_output=True, check=False)  # noqa: S603
             if done.returncode:
                 raise MapreplayError(f"rerun mcap convert failed on {log}")

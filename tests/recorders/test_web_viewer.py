@@ -96,7 +96,9 @@ def browser(tmp_path: Path) -> Iterator[Browser]:
 
 def observed_map(picture: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8] | None:
     """The largest thing in the view at the top left, with a margin around; None if nothing."""
-    view = picture[90 : picture.shape[0] // 2, : picture.shape[1] // 4]
+    # Under its title, over the legend, and left of the next of four maps.
+    bottom, right = int(0.38 * picture.shape[0]), picture.shape[1] // 4 - 2
+    view = picture[64:bottom, :right]
     dark = view[view.max(axis=2) < 24]  # the paper of the dark theme; walls are a little lighter
     if not len(dark):
         return None
