@@ -29,8 +29,9 @@ def sealing_marks(sealing: Sealing) -> list[Mark]:
     if culprits is not None:
         chosen = _set(culprits.cells)
         others = [cell for cell in culprits.tied.tolist() if tuple(cell) not in chosen]
-        names = f"false walls that sealed the agent in at step {first}"
-        marks.append(Mark(CULPRIT, first, last, culprits.cells, f"{len(chosen)} {names}"))
+        walls = "1 false wall" if len(chosen) == 1 else f"{len(chosen)} false walls"
+        text = f"{walls} sealed the agent in at step {first}"
+        marks.append(Mark(CULPRIT, first, last, culprits.cells, text))
         if others:
             text = "each of these would have done as well"
             marks.append(Mark(TIED, first, last, np.array(others, np.int32), text))
@@ -41,7 +42,7 @@ def sealing_marks(sealing: Sealing) -> list[Mark]:
                 text = f"the doorway, {doorway.width} cells wide"
                 marks.append(Mark(DOORWAY, first, last, np.array(left, np.int32), text))
     if view is not None:
-        text = f"{view.moves} moves to here would have shown {view.sees} false walls"
+        text = f"from here, {view.moves} moves away, false walls would have been seen: {view.sees}"
         marks.append(Mark(VIEW, first, last, np.array([view.cell], np.int32), text))
     return marks
 

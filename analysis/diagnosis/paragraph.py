@@ -114,7 +114,8 @@ def _blame(sealing: Sealing, claims: Claims) -> list[str]:
         else f", {blame.distance:.1f} cells from the nearest observation"
     )
     evidence = (
-        f"{blame.seen_occupied} walls and {blame.seen_free} free cells had been observed around it"
+        f"{_count(blame.seen_occupied, 'wall')} and {_count(blame.seen_free, 'free cell')} had "
+        "been observed around it"
     )
     flicker = f" It had flickered {_times(blame.flickers)}." if blame.flickers else ""
     seen = "was never seen" if blame.seen_at is None else f"was seen at step {blame.seen_at}"

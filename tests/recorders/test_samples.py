@@ -4,6 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from mapreplay.analysis.diagnosis.diagnosis import diagnose
+from mapreplay.analysis.diagnosis.record import diagnosis_path, record_of, to_json
 from mapreplay.analysis.verify import verify
 from mapreplay.recorders.log import EpisodeLog, find_logs
 
@@ -12,6 +14,11 @@ ENDS = {
     "procedural-60002__nearest__observed-observed__s1.mcap": ("mapped", 520),
     "procedural-60002__cost-utility__fused-fused__s1.mcap": ("mapped", 104),
     "procedural-60014__cost-utility__fused-fused__s1.mcap": ("sealed_in", 10),
+}
+SEALED = {
+    "procedural-50005__cost-utility__fused-fused__s1.mcap": ("mapped", 183),
+    "procedural-50009__cost-utility__fused-fused__s1.mcap": ("sealed_in", 102),
+    "procedural-50053__cost-utility__fused-fused__s1.mcap": ("sealed_in", 7),
 }
 
 
@@ -31,3 +38,15 @@ def test_a_sample_is_what_it_is_said_to_be(name: str) -> None:
     assert log.summary is not None
     assert (log.outcome, log.summary.steps) == ENDS[name]
     assert verify(log).agrees
+
+
+@pytest.mark.parametrize("name", SEALED)
+def test_a_sealed_sample_has_its_diagnosis_beside_it(name: str) -> None:
+    path = SAMPLES / "sealed" / name
+    log = EpisodeLog(path)
+    assert log.summary is not None
+    assert (log.outcome, log.summary.steps) == SEALED[name]
+    assert path.stat().st_size < 1_000_000
+    assert verify(log).agrees
+    beside = diagnosis_path(path).read_bytes()
+    assert to_json(record_of(diagnose(log))) == beside
