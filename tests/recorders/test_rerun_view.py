@@ -537,4 +537,9 @@ def test_of_two_episodes_every_cell_is_seen_in_its_own_row(
                     assert agreement(seen, wrong) < 1.0, (k, name, view, "the other episode's")
                 assert step.p_wall is not None
                 levels = seen_levels(shoot(k, f"{name}  Predicted P(wall)"), shape)
-                assert agreement(levels, step.p_wall, tolerance=6) == 1.0
+                off = np.argwhere(np.abs(levels - step.p_wall) > 6).tolist()
+                track = [list(earlier.agent) for earlier in walk[: k + 1]]
+                assert all(cell in track for cell in off), "only dot and trail may cover a cell"
+                assert len(off) <= 3
+                assert stranger.p_wall is not None
+                assert agreement(levels, stranger.p_wall, tolerance=6) < 0.9
