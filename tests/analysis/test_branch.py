@@ -18,7 +18,7 @@ from mapreplay.analysis.branch import (
     past_at,
     prepare_branch,
 )
-from mapreplay.analysis.metrics import disagreements, recompute
+from mapreplay.analysis.measurements import measure_log
 from mapreplay.analysis.verify import verify, verify_rerun
 from mapreplay.config import EpisodeConfig
 from mapreplay.episode import prepare_episode, run_episode
@@ -138,7 +138,7 @@ def test_its_log_names_parent_step_and_change(parent: Recorded, child: EpisodeLo
 def test_it_is_verified_from_itself_and_by_running_it_again(child: EpisodeLog) -> None:
     for result in (verify(child), verify_rerun(child)):
         assert (result.agrees, result.steps, result.notes) == (True, len(child), ())
-    assert all(not disagreements(measured) for measured in recompute(child))
+    assert not measure_log(child).disagreements
 
 
 def test_a_branch_that_says_a_wrong_step_is_found(child: EpisodeLog, tmp_path: Path) -> None:
