@@ -53,6 +53,8 @@ class EpisodeRow:
     f1: float
     fail_safe_steps: int
     """Steps planned in fail-safe mode."""
+    branch: str = ""
+    """Of an episode that was run on from a step of another: "23: planner=nearest"; else empty."""
 
 
 def episode_row(path: Path) -> EpisodeRow:
@@ -74,7 +76,7 @@ def summarize(log: EpisodeLog, file: str) -> EpisodeRow:
     mapped = first_reached(table[f"coverage_{suffix}"].to_numpy(), config.coverage)
     right = table[f"correct_coverage_{suffix}"].to_numpy()
     correct = first_reached(right, config.correct_coverage)
-    outcome = log.outcome
+    outcome, branch = log.outcome, log.header.branch
     return EpisodeRow(
         file=file,
         floor_plan=log.header.floor_plan.id,
@@ -96,6 +98,7 @@ def summarize(log: EpisodeLog, file: str) -> EpisodeRow:
         correct=_real(last[f"correct_coverage_{suffix}"]),
         f1=_real(last["f1"]),
         fail_safe_steps=int((table["mode"] == Mode.FAIL_SAFE.value).sum()),
+        branch=f"{branch.step}: {', '.join(branch.changes)}" if branch else "",
     )
 
 

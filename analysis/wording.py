@@ -1,4 +1,4 @@
-"""Numbers of statistics in words, the same in a terminal and on a page."""
+"""Numbers in words, the same in a terminal and on a page."""
 
 from __future__ import annotations
 
@@ -32,3 +32,8 @@ def p_value(p: float) -> str:
     if p != p:
         return UNDEFINED
     return f"{p:.2g}" if p >= 0.0001 else "<0.0001"
+
+
+def counted(number: int, noun: str) -> str:
+    """``1 wall``, ``2 walls``."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

@@ -17,6 +17,8 @@ from mapreplay.step import Decision, EpisodeHeader, Outcome, Step
 
 SOON: Final = 20
 """A target that is taken up again within so many steps was given up for nothing."""
+AROUND: Final = 5
+"""Rows and columns around a target in which an observation may have changed what it is worth."""
 SAME_PLACE: Final = 2
 """Targets at most so many rows and columns apart are one place."""
 
@@ -29,7 +31,8 @@ class HarmKind(StrEnum):
     PHANTOM_PASSAGE = "phantom_passage"
     """It went for a real frontier cell on a path through a wall that was predicted free."""
     OSCILLATION = "oscillation"
-    """It gave up a target that was still there, and took it up again soon after."""
+    """It went for one target, for another, and back for the first, though both were still there
+    and nothing had been observed around either."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,16 @@ def passes_wall(truth: Grid, decision: Decision) -> bool:
     return bool((truth[decision.path[:, 0], decision.path[:, 1]] != FREE).any())
 
 
+@dataclass(frozen=True, eq=False)
+class _GivenUp:
+    """A target that was still a frontier cell when another was taken."""
+
+    step: int
+    target: Cell
+    observed: Grid
+    """Then."""
+
+
 class HarmDetector:
     """Takes the steps of an episode in order."""
 
@@ -87,7 +100,7 @@ class HarmDetector:
         self._targets: dict[int, Cell] = {}
         self._phantoms: list[int] = []
         self._passages: list[int] = []
-        self._given_up: deque[tuple[int, Cell]] = deque()
+        self._given_up: deque[_GivenUp] = deque()
         self._oscillations: list[Harm] = []
         self._target: Cell | None = None
 
@@ -102,25 +115,29 @@ class HarmDetector:
             self._phantoms.append(step.index)
         elif passes_wall(self._truth, decision):
             self._passages.append(step.index)
-        if self._target is not None and not _is_near(target, self._target):
-            if _is_among(self._target, step):
-                self._given_up.append((step.index, self._target))
-            self._take_up(step.index, target)
+        left = self._target
+        if left is not None and not _is_near(target, left) and _is_among(left, step):
+            self._find_return(step, left, target)
+            self._given_up.append(_GivenUp(step.index, left, step.observed))
         self._target = target
 
-    def _take_up(self, index: int, target: Cell) -> None:
-        while self._given_up and self._given_up[0][0] < index - SOON:
+    def _find_return(self, step: Step, left: Cell, target: Cell) -> None:
+        """Whether `target` is one that was given up for nothing, when `left` is given up."""
+        index = step.index
+        while self._given_up and self._given_up[0].step < index - SOON:
             self._given_up.popleft()
-        for when, given_up in self._given_up:
-            if when < index and _is_near(target, given_up):
-                harm = Harm(HarmKind.OSCILLATION, when, index, target)
-                last = self._oscillations[-1] if self._oscillations else None
-                if last is not None and when <= last.last_step:  # one going to and fro
-                    first = min(last.first_step, when)
-                    self._oscillations[-1] = Harm(HarmKind.OSCILLATION, first, index, target)
-                else:
-                    self._oscillations.append(harm)
-                return
+        for before in self._given_up:
+            if not _is_near(target, before.target):
+                continue
+            if any(_has_changed(before.observed, step.observed, c) for c in (before.target, left)):
+                continue
+            last = self._oscillations[-1] if self._oscillations else None
+            first = before.step
+            if last is not None and first <= last.last_step:  # one going to and fro
+                first = min(last.first_step, first)
+                self._oscillations.pop()
+            self._oscillations.append(Harm(HarmKind.OSCILLATION, first, index, target))
+            return
 
     def harms(self) -> Iterator[Harm]:
         """After the last step."""
@@ -153,3 +170,10 @@ def _is_near(a: Cell, b: Cell) -> bool:
 
 def _is_among(cell: Cell, step: Step) -> bool:
     return bool((step.frontier == np.array(cell)).all(axis=1).any())
+
+
+def _has_changed(before: Grid, after: Grid, around: Cell) -> bool:
+    """Whether something was observed around a cell."""
+    rows = slice(max(0, around.row - AROUND), around.row + AROUND + 1)
+    cols = slice(max(0, around.col - AROUND), around.col + AROUND + 1)
+    return not np.array_equal(before[rows, cols], after[rows, cols])

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, Sealing
+from mapreplay.analysis.wording import counted
 from mapreplay.recorders.marks import Mark
 from mapreplay.step import Cells
 
@@ -29,8 +30,7 @@ def sealing_marks(sealing: Sealing) -> list[Mark]:
     if culprits is not None:
         chosen = _set(culprits.cells)
         others = [cell for cell in culprits.tied.tolist() if tuple(cell) not in chosen]
-        walls = "1 false wall" if len(chosen) == 1 else f"{len(chosen)} false walls"
-        text = f"{walls} sealed the agent in at step {first}"
+        text = f"{counted(len(chosen), 'false wall')} sealed the agent in at step {first}"
         marks.append(Mark(CULPRIT, first, last, culprits.cells, text))
         if others:
             text = "each of these would have done as well"
@@ -39,10 +39,11 @@ def sealing_marks(sealing: Sealing) -> list[Mark]:
             taken = _set(culprits.tied)
             left = [cell for cell in doorway.cells.tolist() if tuple(cell) not in taken]
             if left:
-                text = f"the doorway, {doorway.width} cells wide"
+                text = f"the doorway, {counted(doorway.width, 'cell')} wide"
                 marks.append(Mark(DOORWAY, first, last, np.array(left, np.int32), text))
     if view is not None:
-        text = f"from here, {view.moves} moves away, false walls would have been seen: {view.sees}"
+        away, walls = counted(view.moves, "move"), counted(view.sees, "false wall")
+        text = f"from here, {away} away, {walls} would have been seen"
         marks.append(Mark(VIEW, first, last, np.array([view.cell], np.int32), text))
     return marks
 

@@ -10,6 +10,7 @@ from mapreplay.analysis.diagnosis.detect import Ending, NearMissKind
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, Sealing
 from mapreplay.analysis.diagnosis.harms import HarmKind
 from mapreplay.analysis.diagnosis.taxonomy import words
+from mapreplay.analysis.wording import counted
 
 TOLD: Final = 3
 """Sealings of an episode that are told in full."""
@@ -25,7 +26,7 @@ _ENDINGS: Final = {
 _HARMS: Final = {
     HarmKind.PHANTOM_FRONTIER: "going for frontiers that did not exist",
     HarmKind.PHANTOM_PASSAGE: "planning through walls that were predicted free",
-    HarmKind.OSCILLATION: "giving up targets and coming back to them",
+    HarmKind.OSCILLATION: "going to and fro between targets",
 }
 
 
@@ -63,12 +64,12 @@ def paragraph(diagnosis: Diagnosis, name: str, claims: Claims | None = None) -> 
 def _outcome(diagnosis: Diagnosis) -> str:
     moves = max(diagnosis.steps - 1, 0)
     if diagnosis.outcome is None:
-        return f"the log ends unfinished after {_count(moves, 'step')}"
-    return f"the episode ended {diagnosis.outcome.replace('_', ' ')} after {_count(moves, 'step')}"
+        return f"the log ends unfinished after {counted(moves, 'step')}"
+    return f"the episode ended {diagnosis.outcome.replace('_', ' ')} after {counted(moves, 'step')}"
 
 
 def _sealing(who: str, sealing: Sealing, claims: Claims) -> list[str]:
-    ending = _ENDINGS[sealing.ending].format(moves=_count(sealing.moves, "move"))
+    ending = _ENDINGS[sealing.ending].format(moves=counted(sealing.moves, "move"))
     covered = (
         ""
         if sealing.coverage != sealing.coverage
@@ -85,15 +86,15 @@ def _sealing(who: str, sealing: Sealing, claims: Claims) -> list[str]:
     exits = f" in {culprits.exits} places" if culprits.exits > 1 else ""
     where = ", ".join(f"({row}, {col})" for row, col in culprits.cells.tolist()[:4])
     more = f" and {count - 4} more" if count > 4 else ""
-    unseen = _count(sealing.hidden, "explorable cell")
+    unseen = counted(sealing.hidden, "explorable cell")
     were = "was" if sealing.hidden == 1 else "were"
     said.append(
-        f"It could still reach {_count(sealing.inside, 'cell')}, and {unseen} {were} hidden "
-        f"from it by {_count(count, 'false wall')} at {where}{more}{any_of}{exits}."
+        f"It could still reach {counted(sealing.inside, 'cell')}, and {unseen} {were} hidden "
+        f"from it by {counted(count, 'false wall')} at {where}{more}{any_of}{exits}."
     )
     if doorway is not None:
         parts = f" in {doorway.parts} parts" if doorway.parts > 1 else ""
-        said.append(f"The doorway there is {_count(doorway.width, 'cell')} wide{parts}.")
+        said.append(f"The doorway there is {counted(doorway.width, 'cell')} wide{parts}.")
     said += _blame(sealing, claims)
     said += _remedy(sealing)
     return said
@@ -114,7 +115,7 @@ def _blame(sealing: Sealing, claims: Claims) -> list[str]:
         else f", {blame.distance:.1f} cells from the nearest observation"
     )
     evidence = (
-        f"{_count(blame.seen_occupied, 'wall')} and {_count(blame.seen_free, 'free cell')} had "
+        f"{counted(blame.seen_occupied, 'wall')} and {counted(blame.seen_free, 'free cell')} had "
         "been observed around it"
     )
     flicker = f" It had flickered {_times(blame.flickers)}." if blame.flickers else ""
@@ -144,11 +145,11 @@ def _remedy(sealing: Sealing) -> list[str]:
     if view is not None:
         enough = "and let it out" if view.suffices else "which is not enough to let it out"
         said.append(
-            f"{_count(view.moves, 'move')} to ({view.cell.row}, {view.cell.col}) would have shown "
-            f"{_count(view.sees, 'false wall')}, {enough}."
+            f"{counted(view.moves, 'move')} to ({view.cell.row}, {view.cell.col}) would have shown "
+            f"{counted(view.sees, 'false wall')}, {enough}."
         )
     if remedy.fail_safe_moves is not None and sealing.ending is Ending.FINAL:
-        said.append(f"The fail-safe would have cost {_count(remedy.fail_safe_moves, 'move')}.")
+        said.append(f"The fail-safe would have cost {counted(remedy.fail_safe_moves, 'move')}.")
     return said
 
 
@@ -158,7 +159,7 @@ def _rest(diagnosis: Diagnosis) -> list[str]:
         return []
     moves = sum(sealing.moves for sealing in diagnosis.sealings)
     more = f", {count - TOLD} more than told here" if count > TOLD else ""
-    return [f"Sealed in {_times(count)} in all{more}, for {_count(moves, 'move')} together."]
+    return [f"Sealed in {_times(count)} in all{more}, for {counted(moves, 'move')} together."]
 
 
 def _beside(diagnosis: Diagnosis) -> list[str]:
@@ -176,19 +177,18 @@ def _beside(diagnosis: Diagnosis) -> list[str]:
     for kind, text in _HARMS.items():
         moves = sum(harm.moves for harm in diagnosis.harms if harm.kind is kind)
         if moves:
-            said.append(f"It spent {_count(moves, 'move')} {text}.")
+            said.append(f"It spent {counted(moves, 'move')} {text}.")
     coverage = diagnosis.coverage
     if coverage is not None and coverage.is_short:
+        walls, free = (
+            counted(coverage.false_walls, "false wall"),
+            counted(coverage.false_free, "wall"),
+        )
         said.append(
             f"Of the {_percent(coverage.claimed)} claimed at the end only "
-            f"{_percent(coverage.correct)} is right ({_count(coverage.false_walls, 'false wall')}, "
-            f"{_count(coverage.false_free, 'wall')} taken for free)."
+            f"{_percent(coverage.correct)} is right ({walls}, {free} taken for free)."
         )
     return said
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def _times(number: int) -> str:

@@ -27,7 +27,8 @@ def bundle(
 ) -> None:
     """Pack a log with its diagnosis, in words, as JSON and as a picture, into one zip.
 
-    A manifest has the hash of everything; the same log gives the same bytes.
+    A manifest has the hash of everything; the same log gives the same bytes. A part of a log
+    starts at step 0, like every log that can be verified: there is no window in its middle.
     """
     from mapreplay.analysis.bundle import make_bundle
 

@@ -66,6 +66,9 @@ def read_episodes(
     chosen = [e for e in episodes if all(c.holds(e.row) for c in conditions)]
     if episodes and not chosen:
         note(f"none of {len(episodes)} episodes is like that")
+    branches = sum(e.row.branch != "" for e in chosen)
+    if 0 < branches < len(chosen):
+        note(f"{branches} of {len(chosen)} episodes are branches; without them: --where branch=")
     return chosen, len(unreadable)
 
 

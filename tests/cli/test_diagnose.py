@@ -68,4 +68,16 @@ def test_a_branch_needs_no_network_where_nothing_is_predicted(cli: Run, sealed: 
     assert result.code == 0
     name = sealed.name.replace(".mcap", ".at10-observed+max-steps=20.mcap")
     assert cli("verify", sealed.with_name(name)).code == 0
+    said = cli("diff", sealed, sealed.with_name(name))
+    assert said.code == 0
+    assert "They part at step 10, in the prediction." in said.out
+    assert "step 10: observed, max-steps=20" in " ".join(said.out.split())
+    assert "A: sealed_in after 10 steps. B: out_of_steps after 20 steps." in said.out
+    both = cli("ls", sealed.parent, "--format", "csv")
+    assert "1 of 2 episodes are branches; without them: --where branch=" in both.err
+    assert '"10: observed, max-steps=20"' in both.out
+    for condition, left in (("branch=", sealed.name), ("branch!=", name)):
+        one = cli("ls", sealed.parent, "--format", "csv", "--where", condition)
+        assert (one.out.count(".mcap"), "branches" in one.err) == (1, False)
+        assert left in one.out
     assert "--with magic" in cli("branch", sealed, "--at", 3, "--with", "magic").err

@@ -26,6 +26,7 @@ from mapreplay.episode import Episode, prepare_episode, run_episode
 from mapreplay.errors import LogError, UsageError
 from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from mapreplay.recorders import rerun_columns, rerun_view
+from mapreplay.recorders.marks import Mark
 from mapreplay.recorders.palette import (
     AGENT_COLOUR,
     FRONTIER_COLOUR,
@@ -273,6 +274,31 @@ def test_two_episodes_share_a_recording_under_two_roots(
     recorded = read(path)
     assert max(recorded["/A/agent/position:Points2D:positions"]) == len(steps) - 1
     assert max(recorded["/B/agent/position:Points2D:positions"]) == 4
+
+
+def test_marks_are_sent_on_their_cells_while_they_are_shown(
+    tmp_path: Path, episode: Episode, steps: list[Step]
+) -> None:
+    """Row 0 of a picture is on top: a mark in the lowest row has the largest y."""
+    last, height = steps[-1].index, episode.header.floor_plan.shape[0]
+    marks = [
+        Mark("culprit", 2, 4, np.array([[0, 3], [1, 3]], np.int32), "walls"),
+        Mark("doorway", 3, last, np.array([[height - 1, 5]], np.int32), "a door"),
+        Mark("culprit", last + 1, last + 1, np.array([[1, 1]], np.int32), "too late"),
+    ]
+    save_rrd(tmp_path / "x.rrd", [Replay(episode.header, steps, marks)])
+    recorded = read(tmp_path / "x.rrd")
+    bottom = height - 0.5
+    assert recorded["/marks/0:Boxes2D:centers"] == {
+        2: [[3.5, bottom], [3.5, bottom - 1]],
+        5: [],
+    }
+    assert recorded["/marks/0:Boxes2D:half_sizes"] == {2: [[0.5, 0.5]] * 2, 5: []}
+    assert recorded["/marks/0:Boxes2D:labels"] == {-1: ["culprit: walls"]}
+    assert recorded["/marks/1:Boxes2D:centers"] == {3: [[5.5, 0.5]]}
+    assert not any(name.startswith("/marks/2") for name in recorded)
+    culprit, doorway = (recorded[f"/marks/{i}:Boxes2D:colors"][-1] for i in (0, 1))
+    assert culprit != doorway
 
 
 def view_names(path: Path) -> set[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from mapreplay.analysis.diagnosis.claims import Claims
 from mapreplay.analysis.diagnosis.corpus import groups, kind_counts, rate, sealing_frame
 from mapreplay.analysis.diagnosis.detect import Ending, NearMissKind, runs
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, diagnose
-from mapreplay.analysis.diagnosis.harms import HarmKind
+from mapreplay.analysis.diagnosis.harms import HarmDetector, HarmKind
 from mapreplay.analysis.diagnosis.marks import marks_of
 from mapreplay.analysis.diagnosis.page import diagnosis_page
 from mapreplay.analysis.diagnosis.paragraph import paragraph
@@ -27,9 +28,10 @@ from mapreplay.analysis.diagnosis.reach import Scratch, reached
 from mapreplay.analysis.diagnosis.record import diagnosis_path, record_of, save_beside
 from mapreplay.analysis.diagnosis.remedy import threshold_of_free, threshold_of_walls
 from mapreplay.analysis.diagnosis.tables import all_tables
+from mapreplay.episode import run_episode
 from mapreplay.errors import LogError
 from mapreplay.foreign import ForeignEpisode, unknown_floor_plan
-from mapreplay.grid import UNKNOWN, Cell
+from mapreplay.grid import OCCUPIED, UNKNOWN, Cell
 from mapreplay.mapping import PredictionDtype, Thresholds, fuse, quantize
 from mapreplay.recorders.log import EpisodeLog
 from mapreplay.recorders.writer import EpisodeWriter
@@ -149,11 +151,77 @@ def test_the_paragraph_says_it(diagnosis: Diagnosis) -> None:
 
 
 def test_a_detour_to_a_frontier_that_did_not_exist(tmp_path: Path) -> None:
-    """The wall beside the agent is predicted free, and what is behind it unknown."""
-    through = LEFT_ROOM.replace("#######???????", "#..####???????", 1)
-    found = diagnose(recorded(tmp_path / "a.mcap", episode(always(through), max_steps=6)))
-    kinds = {harm.kind for harm in found.harms}
-    assert HarmKind.PHANTOM_FRONTIER in kinds or found.sealings
+    """A door is predicted above the true one, in the wall: the agent goes there until it sees it.
+
+    The true door is predicted shut, so that there is nowhere else to go.
+    """
+    wrong_door = """
+        #######???????
+        #.....#???????
+        #......???????
+        #.....#???????
+        #.....#???????
+        #.....#???????
+        #######???????
+    """
+    made = episode(always(wrong_door), start=(3, 1))
+    log = recorded(tmp_path / "a.mcap", made)
+    (harm,) = diagnose(log).harms
+    assert (harm.kind, harm.target) == (HarmKind.PHANTOM_FRONTIER, Cell(4, 6))
+    seen = next(step.index for step in log if step.observed[4, 6] == OCCUPIED)
+    assert (harm.first_step, harm.last_step, harm.moves) == (0, seen - 1, seen)
+    assert seen == 4  # moves from (3, 1) to (4, 5), beside it
+
+
+A, B, ELSEWHERE = Cell(3, 2), Cell(3, 9), Cell(1, 12)
+
+
+def oscillations(
+    targets: list[Cell], gone: dict[int, Cell] | None = None, seen: dict[int, Cell] | None = None
+) -> list[tuple[int, int, Cell]]:
+    """What is found in steps with these targets; `gone` are those that are no frontier cells any
+    more from a step on, and `seen` cells that are observed from a step on.
+    """
+    made = episode(always(LEFT_ROOM), plan_on="observed", build="observed")
+    first = next(iter(run_episode(made)))
+    assert first.decision is not None
+    detector = HarmDetector(made.header, made.explorable)
+    for index, target in enumerate(targets):
+        left = {A, B, ELSEWHERE} - {c for k, c in (gone or {}).items() if k <= index}
+        observed = first.observed.copy()
+        for k, cell in (seen or {}).items():
+            if k <= index:
+                observed[cell] = 0
+        chosen = replace(first.decision.chosen, cell=target)
+        step = replace(
+            first,
+            index=index,
+            observed=observed,
+            frontier=np.array(sorted(left), np.int32),
+            decision=replace(first.decision, chosen=chosen),
+        )
+        detector.take(step)
+    found = [harm for harm in detector.harms() if harm.kind is HarmKind.OSCILLATION]
+    return [(harm.first_step, harm.last_step, harm.target) for harm in found]
+
+
+def test_to_and_fro_between_two_targets_for_nothing() -> None:
+    assert oscillations([A, A, B, B, A]) == [(2, 4, A)]
+    assert oscillations([A, B, A, B, A]) == [(1, 4, A)]  # once, not three times
+    assert oscillations([A, B, ELSEWHERE, A]) == [(1, 3, A)]
+
+
+def test_who_does_not_come_back_or_has_a_reason_does_not_oscillate() -> None:
+    assert oscillations([A, A, A]) == []
+    assert oscillations([A, B, B, B]) == []
+    assert oscillations([A, Cell(A.row + 1, A.col), A]) == []  # one place
+    assert oscillations([A, B, B, A], gone={3: B}) == []  # B was reached
+    assert oscillations([A, B, B, A], gone={1: A}) == []  # A was no frontier cell when it was left
+    assert oscillations([A, *[B] * 25, A]) == []  # long ago
+    near_a, near_b, far = Cell(4, 3), Cell(5, 12), Cell(1, 2)
+    assert oscillations([A, B, B, A], seen={2: near_a}) == []  # A may be worth more than it was
+    assert oscillations([A, B, B, A], seen={2: near_b}) == []  # and B less
+    assert oscillations([B, ELSEWHERE, B], seen={2: far}) == [(1, 2, B)]
 
 
 def test_free_space_through_a_wall(tmp_path: Path) -> None:
