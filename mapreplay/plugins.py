@@ -57,16 +57,25 @@ def available(group: Group) -> dict[str, Plugin]:
     return dict(sorted(found.items()))
 
 
+def find(group: Group, name: str) -> Plugin:
+    """The plug-in called `name`; nothing is imported.
+
+    Raises:
+        PluginError: there is none.
+    """
+    plugins = available(group)
+    if name not in plugins:
+        raise PluginError(f"unknown {group.noun} {name!r}; known: {', '.join(plugins) or 'none'}")
+    return plugins[name]
+
+
 def load(group: Group, name: str) -> Callable[..., Any]:
     """The factory called `name`.
 
     Raises:
         PluginError: there is none, or importing it failed.
     """
-    plugins = available(group)
-    if name not in plugins:
-        raise PluginError(f"unknown {group.noun} {name!r}; known: {', '.join(plugins) or 'none'}")
-    plugin = plugins[name]
+    plugin = find(group, name)
     try:
         factory = plugin.entry.load()
     except Exception as error:  # whatever a foreign module does while it is imported

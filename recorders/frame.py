@@ -301,9 +301,11 @@ class Film:
             sheet.line(_points(steps, heights), line.colour, line.width)
         if self._parting is not None:
             x = float(self._x(box, self._parting))
-            sheet.line(_points([x, x], [box.y, box.y + box.height]), theme.faint, 1.0)
-            text = f"part at {self._parting}"
-            sheet.text(x + 4, box.y + box.height - 8, text, 10, theme.faint)
+            sheet.line(_points([x, x], [box.y - 5, box.y + box.height]), theme.faint, 1.0)
+            text = f"part after step {self._parting}"
+            left = area.x + sheet.width_of(heading, _TEXT, bold=True) + 14  # above the curves
+            right = box.x + box.width - sheet.width_of(text, 10)
+            sheet.text(max(left, min(x - 3, right)), area.y + 8, text, 10, theme.faint)
         x = float(self._x(box, index))
         sheet.line(_points([x, x], [box.y - 3, area.y + area.height]), theme.ink, 1.0)
         for number, (line, label) in enumerate(zip(lines, labels, strict=True)):

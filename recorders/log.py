@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import glob
 import os
 import struct
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
 from functools import cached_property
@@ -55,8 +54,6 @@ if TYPE_CHECKING:
     import polars as pl
 
 _T = TypeVar("_T")
-
-SUFFIXES: Final = (".mcap", ".mcap.part")
 
 _DAMAGE: Final = (
     ArithmeticError,
@@ -336,30 +333,3 @@ def _steps_of(
         for step in sorted(steps):
             if Topic.METRICS in steps[step]:
                 yield _StepMessages(step, steps[step])
-
-
-def find_logs(paths: Sequence[Path]) -> list[Path]:
-    """The logs that files, folders (searched through) and glob patterns stand for, sorted.
-
-    Raises:
-        LogError: a path does not exist, or there is no log in it.
-    """
-    found: set[Path] = set()
-    for path in paths:
-        matches = [path]
-        if not path.exists():
-            # Path.glob takes no absolute patterns.
-            matches = [Path(p) for p in glob.glob(str(path), recursive=True)]  # noqa: PTH207
-        if not matches:
-            raise LogError(f"{path}: no such file or folder")
-        logs = [log for match in matches for log in _logs_in(match)]
-        if not logs:
-            raise LogError(f"{path}: no .mcap or .mcap.part file in it")
-        found.update(logs)
-    return sorted(found)
-
-
-def _logs_in(path: Path) -> list[Path]:
-    if not path.is_dir():
-        return [path]
-    return [log for suffix in SUFFIXES for log in path.rglob(f"*{suffix}") if log.is_file()]

@@ -37,7 +37,7 @@ class Replay:
     scores: dict[Curve, Series] = field(default_factory=dict)
     """Where only these are shown."""
     parts_at: int | None = None
-    """The first step at which it differs from the first of those that it is shown with."""
+    """The step from which it parts from the first of those that it is shown with."""
 
     @property
     def has_maps(self) -> bool:

@@ -136,10 +136,10 @@ def send_parting(recording: rr.RecordingStream, name: str, step: int) -> None:
     Args:
         recording: where to.
         name: of the episode that parts.
-        step: the first step at which they differ.
+        step: the last step at which they are the same.
     """
     index = rr.TimeColumn(TIMELINE, sequence=[step])
-    text = f"{name[:1]} parts from the first at step {step}"
+    text = f"{name[:1]} parts from the first after step {step}"
     recording.send_columns(f"{PARTING}/events", [index], rr.TextLog.columns(text=[text]))
     path = f"{PARTING}/at/{name[:1]}"
     line = rr.SeriesLines(

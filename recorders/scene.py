@@ -202,14 +202,18 @@ def _cell(candidate: Candidate) -> str:
 
 
 def first_parting(a: Iterable[Step], b: Iterable[Step]) -> int | None:
-    """The first step at which two episodes are not the same to the agent, or None.
+    """The step from which two episodes part, or None: the last that is the same to the agent.
 
     They are the same while the agents stand on the same cell and have observed the same map,
-    on floor plans of the same size; where one ends before the other, they part there.
+    on floor plans of the same size: at the step that is returned the agents move apart, or one
+    of them ends. 0 also where they never were the same.
     """
     for index, (one, other) in enumerate(zip_longest(a, b)):
-        if one is None or other is None:
-            return index
-        if one.agent != other.agent or not np.array_equal(one.observed, other.observed):
-            return index
+        if (
+            one is None
+            or other is None
+            or one.agent != other.agent
+            or not np.array_equal(one.observed, other.observed)
+        ):
+            return max(0, index - 1)
     return None

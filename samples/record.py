@@ -11,7 +11,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from mapreplay.recorders.log import EpisodeLog, find_logs
+from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.paths import find_logs
 
 EPISODES = Path(__file__).parent / "episodes"
 COMMANDS = (

@@ -44,13 +44,14 @@ def read_episodes(
     Raises:
         LogError: nothing is there, or nothing that can be read.
     """
+    from mapreplay.recorders.paths import find_logs
+
+    logs = find_logs(paths)  # before the slow imports
     from mapreplay.analysis.corpus import LoggedEpisode, read_corpus
     from mapreplay.analysis.episodes import Condition
     from mapreplay.cli.progress import progress_bar
-    from mapreplay.recorders.log import find_logs
 
     conditions = [Condition.parse(text) for text in where or []]
-    logs = find_logs(paths)
     episodes, unreadable = [], []
     with progress_bar() as bar:
         for found in bar.track(read_corpus(logs, jobs), len(logs), description="episodes"):
@@ -81,11 +82,13 @@ def open_log(path: Path) -> EpisodeLog:
         LogError: there is none, or it cannot be read.
         UsageError: there are several.
     """
-    from mapreplay.recorders.log import EpisodeLog, find_logs
+    from mapreplay.recorders.paths import find_logs
 
     logs = find_logs([path])
     if len(logs) > 1:
         raise UsageError(f"{path}: {len(logs)} logs; name one of them, such as {logs[0]}")
+    from mapreplay.recorders.log import EpisodeLog
+
     log = EpisodeLog(logs[0])
     if not log.finished:
         note(f"{log.path}: unfinished; {len(log)} steps can be read")

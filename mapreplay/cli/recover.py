@@ -24,7 +24,7 @@ def recover(
     """Make finished files of unfinished, cut and damaged logs; exit 3 if steps are missing."""
     import polars as pl
 
-    from mapreplay.recorders.log import find_logs
+    from mapreplay.recorders.paths import find_logs
     from mapreplay.recorders.recover import recover as recover_log
 
     rows, failures, lost = [], [], False

@@ -11,6 +11,7 @@ import typer
 
 from mapreplay.cli.output import LOST, ForceOption, Format, FormatOption, emit, note
 from mapreplay.errors import FloorPlanError, MapreplayError, UsageError
+from mapreplay.plugins import Group, find
 
 if TYPE_CHECKING:
     from mapreplay.config import RunConfig
@@ -46,10 +47,12 @@ def run(
         str | None, typer.Option(help="Map to build: observed or fused (default).")
     ] = None,
     delta_free: Annotated[
-        float | None, typer.Option(help="Confidence for free cells, 0 to 1 (default 0.93).")
+        float | None,
+        typer.Option(help="Free where P(wall) <= (1 - delta) / 2 (default delta 0.93)."),
     ] = None,
     delta_occupied: Annotated[
-        float | None, typer.Option(help="Confidence for occupied cells, 0 to 1 (default 0.95).")
+        float | None,
+        typer.Option(help="Occupied where P(wall) >= (1 + delta) / 2 (default delta 0.95)."),
     ] = None,
     coverage: Annotated[
         float | None, typer.Option(help="Target coverage of the built map (default 0.98).")
@@ -104,6 +107,8 @@ def run(
     force: ForceOption = False,
 ) -> None:
     """Simulate episodes and record every step to MCAP."""
+    if planner is not None:
+        find(Group.PLANNERS, planner)  # before the slow imports
     from mapreplay.planners import load_planner
     from mapreplay.predictors import load_predictor
 

@@ -42,7 +42,8 @@ def verify(
     if rerun and rerun_from is not None:
         raise UsageError("verify: choose one of --rerun and --rerun-from")
     from mapreplay.analysis.episodes import Condition, summarize
-    from mapreplay.recorders.log import EpisodeLog, find_logs
+    from mapreplay.recorders.log import EpisodeLog
+    from mapreplay.recorders.paths import find_logs
 
     check = _check(device, rerun_from, rerun=rerun)
     conditions = [Condition.parse(text) for text in where or []]

@@ -94,9 +94,9 @@ def view(
 
 def _open(paths: list[Path]) -> list[EpisodeLog]:
     """All logs that the paths stand for, in the order of the paths."""
-    from mapreplay.recorders.log import find_logs
+    from mapreplay.recorders.paths import find_each
 
-    return [open_log(log) for path in paths for log in find_logs([path])]
+    return [open_log(log) for logs in find_each(paths) for log in logs]
 
 
 def _chosen(maps: str | None, count: int) -> list[int]:

@@ -45,6 +45,23 @@ def test_help_names_every_verb_and_loads_nothing_slow() -> None:
         assert f"\n  {verb} " in result.stdout
 
 
+@pytest.mark.parametrize("words", [["ls", "nowhere"], ["run", "--planner", "nearby"]])
+def test_a_mistyped_name_is_told_before_anything_slow_is_loaded(words: list[str]) -> None:
+    code = (
+        f"import sys; sys.argv = ['mapreplay', *{words}]\n"
+        "from mapreplay.cli import main\n"
+        "try: main()\n"
+        "except SystemExit as end: assert end.code\n"
+        "slow = {'torch', 'rerun', 'polars', 'numba', 'scipy'} & set(sys.modules)\n"
+        "assert not slow, slow\n"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 0, result.stderr
+    assert words[-1] in result.stderr
+
+
 def test_help_is_quick() -> None:
     command = [sys.executable, "-m", "mapreplay", "--help"]
     subprocess.run(command, check=True, capture_output=True)

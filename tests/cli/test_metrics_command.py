@@ -83,7 +83,7 @@ def test_what_cannot_be_read_is_named_and_the_rest_is_measured(
 def test_a_pattern_without_logs_is_one_line(cli: Run, tmp_path: Path) -> None:
     result = cli("metrics", tmp_path / "*.mcap")
     assert result.code == 1
-    assert result.err.strip() == f"mapreplay: {tmp_path}/*.mcap: no such file or folder"
+    assert result.err.strip() == f"mapreplay: {tmp_path}/*.mcap: matches nothing"
 
 
 def test_conditions_choose_episodes(cli: Run, logs: Path) -> None:

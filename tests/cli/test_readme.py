@@ -2,7 +2,10 @@
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[2]
@@ -32,6 +35,16 @@ def test_the_python_of_the_analysis_page_runs(
     printed = capsys.readouterr().out
     assert "(105, 2, 2)" in printed
     assert printed.strip().endswith("0.8")
+
+
+def test_the_python_of_the_plug_ins_page_runs() -> None:
+    page = (ROOT / "docs/plug-ins.md").read_text(encoding="utf-8")
+    snippets = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    assert len(snippets) == 1
+    names: dict[str, Any] = {}
+    exec(compile(snippets[0], "plug-ins.md", "exec"), names)
+    situation = SimpleNamespace(costs=np.array([3.0, 8.0, 5.0]))  # all that it looks at
+    assert names["Farthest"]().choose(situation).index == 1
 
 
 def test_every_link_of_the_documents_leads_somewhere() -> None:

@@ -12,8 +12,9 @@ from mapreplay.episode import run_episode
 from mapreplay.errors import LogError
 from mapreplay.floorplan import explorable
 from mapreplay.recorders import log as log_module
-from mapreplay.recorders.log import EpisodeLog, find_logs
+from mapreplay.recorders.log import EpisodeLog
 from mapreplay.recorders.metadata import EpisodeSummary
+from mapreplay.recorders.paths import find_logs
 from mapreplay.recorders.table import row_of, table_of
 from mapreplay.recorders.writer import EpisodeWriter
 from mapreplay.step import Mode, Outcome, StepMetrics, differences
@@ -201,7 +202,14 @@ def test_a_random_draw_above_the_range_of_int64_comes_back(blurred: Recorded) ->
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    for name in ("b.mcap", "a.mcap", "deep/er/c.mcap.part", "a.diagnosis.json", "x[1].mcap"):
+    for name in (
+        "b.mcap",
+        "a.mcap",
+        "deep/er/c.mcap.part",
+        "a.diagnosis.json",
+        "a.zip",
+        "x[1].mcap",
+    ):
         file = tmp_path / name
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_bytes(b"")
@@ -217,7 +225,8 @@ def folder(tmp_path: Path) -> Path:
         (["d*"], ["deep/er/c.mcap.part"]),
         (["**/*.part"], ["deep/er/c.mcap.part"]),
         (["x[1].mcap"], ["x[1].mcap"]),
-        (["a.diagnosis.json"], ["a.diagnosis.json"]),
+        (["a.mcap", "a.diagnosis.json", "a.zip"], ["a.mcap"]),
+        (["a.*"], ["a.mcap"]),
     ],
 )
 def test_files_folders_and_patterns_find_logs(
@@ -231,11 +240,31 @@ def test_patterns_may_be_relative(folder: Path, monkeypatch: pytest.MonkeyPatch)
     assert find_logs([Path("deep/**/*.part")]) == [Path("deep/er/c.mcap.part")]
 
 
-@pytest.mark.parametrize("name", ["none.mcap", "none*.mcap", "empty"])
-def test_nothing_found_is_an_error(folder: Path, name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "line"),
+    [
+        ("none.mcap", r"none\.mcap: no such file or folder"),
+        ("none*.mcap", r"none\*\.mcap: matches nothing"),
+        ("empty", r"empty: no \.mcap or \.mcap\.part file in it"),
+    ],
+)
+def test_nothing_found_is_an_error(folder: Path, name: str, line: str) -> None:
     (folder / "empty").mkdir()
-    with pytest.raises(LogError, match=r"no such file|no \.mcap"):
+    with pytest.raises(LogError, match=line):
         find_logs([folder / "a.mcap", folder / name])
+
+
+@pytest.mark.parametrize(
+    ("name", "line"),
+    [
+        ("a.diagnosis.json", r"a\.diagnosis\.json: a diagnosis, not a log; name the \.mcap"),
+        ("a.d*", r"a\.diagnosis\.json: a diagnosis, not a log"),
+        ("a.zip", r"a\.zip: a zip archive, not a log"),
+    ],
+)
+def test_what_lies_beside_logs_is_no_log(folder: Path, name: str, line: str) -> None:
+    with pytest.raises(LogError, match=line):
+        find_logs([folder / name])
 
 
 def test_maps_are_those_of_the_steps(blurred: Recorded) -> None:

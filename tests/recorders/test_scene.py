@@ -155,17 +155,20 @@ def test_without_a_scan_there_are_no_rays(steps: list[Step]) -> None:
     assert rays_of(silent, two_rooms().header).ends.tolist() == []
 
 
-def test_two_episodes_part_where_the_agent_or_its_map_differs(steps: list[Step]) -> None:
+def test_two_episodes_part_after_the_last_step_that_is_the_same_to_the_agent(
+    steps: list[Step],
+) -> None:
     def from_three(**change: Any) -> list[Step]:
         return [*steps[:3], *(replace(step, **change) for step in steps[3:])]
 
     assert first_parting(steps, list(steps)) is None
-    assert first_parting(steps, from_three(agent=Cell(0, 0))) == 3
-    assert first_parting(steps, from_three(observed=steps[0].observed)) == 3
-    assert first_parting(steps, from_three(observed=np.zeros((2, 2), np.int8))) == 3
+    assert first_parting(steps, from_three(agent=Cell(0, 0))) == 2
+    assert first_parting(steps, from_three(observed=steps[0].observed)) == 2
+    assert first_parting(steps, from_three(observed=np.zeros((2, 2), np.int8))) == 2
+    assert first_parting(steps, [replace(s, agent=Cell(0, 0)) for s in steps]) == 0
     assert first_parting(steps, from_three(p_wall=None)) is None, "not what the agent sees"
-    assert first_parting(steps, steps[:5]) == 5
-    assert first_parting(steps[:5], steps) == 5
+    assert first_parting(steps, steps[:5]) == 4
+    assert first_parting(steps[:5], steps) == 4
     assert first_parting([], []) is None
 
 
