@@ -39,6 +39,7 @@ from mapreplay.analysis.statistics import (
     paired_reduction,
     proportion,
 )
+from mapreplay.analysis.wording import count
 from mapreplay.config import MapKind
 from mapreplay.errors import MapreplayError, UsageError
 from mapreplay.step import Outcome
@@ -383,8 +384,10 @@ def _limits(plans: int, results: Sequence[GroupResult], effects: Sequence[Effect
         if not (result.times < NEVER).any():
             notes.append(f"{result.name} never reached the target: its time is the budget")
         undefined = {m: e.undefined for m, e in result.estimates.items() if e.undefined}
-        for measure, count in undefined.items():
-            notes.append(f"{measure} of {result.name} is undefined on {count} floor plans")
+        for measure, number in undefined.items():
+            notes.append(
+                f"{measure} of {result.name} is undefined on {count(number, 'floor plan')}"
+            )
     if len(results) == 1:
         notes.append("one group: there is nothing to compare it with")
     return notes
@@ -415,8 +418,8 @@ def comparison_frame(comparison: Comparison) -> pl.DataFrame:
                 "undefined": e.undefined}  # fmt: skip
 
     for group in comparison.groups:
-        for outcome, count in group.outcomes:
-            add("outcome", group.name, outcome, value=float(count))
+        for outcome, number in group.outcomes:
+            add("outcome", group.name, outcome, value=float(number))
         s = group.success
         add("success", group.name, "mapped", value=s.share, low=s.low, high=s.high, plans=s.plans)
         for measure, mean in group.estimates.items():

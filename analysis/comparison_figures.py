@@ -80,10 +80,11 @@ class IncidenceFigure:
         for number, group in enumerate(self.comparison.groups):
             shares = self.comparison.incidence(group, at.astype(float).tolist())
             shade = colour(number, theme)
-            axes.fill_between(
-                at, [s.low for s in shares], [s.high for s in shares], step="post", color=shade,
-                alpha=0.15, linewidth=0,
-            )  # fmt: skip
+            if len(self.comparison.places) > 1:  # the interval of a single one is all there is
+                axes.fill_between(
+                    at, [s.low for s in shares], [s.high for s in shares], step="post",
+                    color=shade, alpha=0.15, linewidth=0,
+                )  # fmt: skip
             axes.step(at, [s.share for s in shares], where="post", color=shade, label=group.name,
                       linestyle=LINES[number % len(LINES)], linewidth=1.6)  # fmt: skip
         axes.set_title("Share of floor plans mapped by a step")

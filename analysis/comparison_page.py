@@ -21,7 +21,7 @@ from mapreplay.analysis.comparison_figures import CoverageFigure, IncidenceFigur
 from mapreplay.analysis.corpus import LoggedEpisode
 from mapreplay.analysis.diff_folders import view_command
 from mapreplay.analysis.figures import Draw, in_the_dark, render
-from mapreplay.analysis.wording import p_value, percent, with_interval
+from mapreplay.analysis.wording import count, p_value, percent, share, with_interval
 from mapreplay.config import MapKind
 from mapreplay.floorplans.preview import encode_png
 from mapreplay.recorders.log import EpisodeLog
@@ -59,7 +59,7 @@ def comparison_page(comparison: Comparison) -> page.Page:
                         "The same of cells that are known and right."),
                 _figure(IncidenceFigure(comparison), 4.0, "Cumulative share of floor plans mapped",
                         "Being sealed in is a competing event: who never arrives stays below. "
-                        "Bands: 95 % Wilson intervals."),
+                        + ("Bands: 95 % Wilson intervals." if len(comparison.places) > 1 else "")),
                 _figure(PairsFigure(comparison), PairsFigure(comparison).height,
                         "Mapping times of each floor plan",
                         "Who did not reach the target is drawn hollow, at its whole budget."),
@@ -87,7 +87,7 @@ def comparison_page(comparison: Comparison) -> page.Page:
 
 def _lead(comparison: Comparison) -> str:
     plans = len(comparison.places)
-    many = f"{plans} floor plan{'s' if plans != 1 else ''}"
+    many = count(plans, "floor plan")
     if not comparison.savings:
         (group, *_) = comparison.groups
         return (
@@ -102,7 +102,7 @@ def _lead(comparison: Comparison) -> str:
 
 def _headlines(comparison: Comparison) -> Iterator[page.Block]:
     numbers = [
-        (f"{100 * saving.reduction.mean:.0f} %", f"less mapping time: {saving.group}")
+        (share(saving.reduction.mean), f"less mapping time: {saving.group}")
         for saving in comparison.savings[:MOST_GROUPS]
     ]
     for group in comparison.groups[:MOST_GROUPS]:
@@ -160,8 +160,9 @@ def _success(saving: Saving, comparison: Comparison) -> str:
     m = saving.success
     return (
         f"Reduction of mapping time, {saving.group}: {percent(saving.reduction)}; on the "
-        f"{saving.both.plans} floor plans that both mapped {percent(saving.both)}. Mapped by it "
-        f"alone: {m.only_candidate}, by {comparison.baseline} alone: {m.only_reference} "
+        f"{count(saving.both.plans, 'floor plan')} that both mapped {percent(saving.both)}. "
+        f"Mapped by it alone: {m.only_candidate}, by {comparison.baseline} alone: "
+        f"{m.only_reference} "
         f"(McNemar, exact: p {p_value(m.p)}, Holm {p_value(saving.success_p_holm)})."
     )
 
@@ -196,7 +197,7 @@ def _card(
     files = [episode.path for episode in shown]
     last = min(max(episode.row.steps, 0) for episode in shown)
     times = " and ".join(f"{r.name} {r.values[TIME][i]:.0f}" for r in (reference, group))
-    sentence = f"Mapping time in steps: {times}; reduction {100 * gain:.0f} %."
+    sentence = f"Mapping time in steps: {times}; reduction {share(gain)}."
     return page.Card(
         [
             page.Heading(comparison.floor_plans[i], 3),
@@ -242,7 +243,7 @@ def _plans_table(comparison: Comparison) -> page.Block:
             row += [round(float(group.values[TIME][i]), 1), float(group.values["F1"][i])]
         if len(comparison.groups) == 2:
             reference, other = (g.values[TIME][i] for g in comparison.groups)
-            row.append(f"{100 * (1 - other / max(reference, 1)):.0f} %")
+            row.append(share(float(1 - other / max(reference, 1))))
         rows.append(row)
     table = page.Table(head, rows, right=[len(head) - 1])
-    return page.Details(f"{len(rows)} floor plans", [table])
+    return page.Details(count(len(rows), "floor plan"), [table])

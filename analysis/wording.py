@@ -7,6 +7,11 @@ from mapreplay.analysis.statistics import Estimate
 UNDEFINED = "-"
 
 
+def count(number: int, noun: str) -> str:
+    """``1 log``, ``2 logs``: of a noun whose plural takes an s."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
 def with_interval(estimate: Estimate, digits: int) -> str:
     """``238.5 (211.9 to 293.8)``; without an interval the mean alone."""
     if estimate.mean != estimate.mean:
@@ -17,11 +22,16 @@ def with_interval(estimate: Estimate, digits: int) -> str:
     return f"{mean} ({estimate.low:.{digits}f} to {estimate.high:.{digits}f})"
 
 
+def share(value: float) -> str:
+    """``47.1 %``."""
+    return UNDEFINED if value != value else f"{100 * value:.1f} %"
+
+
 def percent(estimate: Estimate) -> str:
     """``47.1 % (32.8 to 53.8 %)``; without an interval the mean alone."""
     if estimate.mean != estimate.mean:
         return "an undefined share"
-    mean = f"{100 * estimate.mean:.1f} %"
+    mean = share(estimate.mean)
     if estimate.low != estimate.low:
         return mean
     return f"{mean} ({100 * estimate.low:.1f} to {100 * estimate.high:.1f} %)"

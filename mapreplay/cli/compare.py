@@ -101,7 +101,7 @@ def compare(
 def _text(result: Comparison) -> list[str | Command | pl.DataFrame]:
     import polars as pl
 
-    from mapreplay.analysis.wording import p_value, percent
+    from mapreplay.analysis.wording import count, p_value, percent
 
     plans = len(result.places)
     by = ", ".join(result.by)
@@ -137,7 +137,9 @@ def _text(result: Comparison) -> list[str | Command | pl.DataFrame]:
             + percent(saving.reduction),
         ]
         if both.plans < plans:
-            shown.append(f"On the {both.plans} floor plans that both mapped: {percent(both)}")
+            shown.append(
+                f"On the {count(both.plans, 'floor plan')} that both mapped: {percent(both)}"
+            )
         shown.append(_against(effects))
         m = saving.success
         if m.only_candidate or m.only_reference:

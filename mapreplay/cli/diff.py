@@ -146,6 +146,7 @@ def _many(of_a: list[LoggedEpisode], of_b: list[LoggedEpisode]) -> _Result:
     from mapreplay.analysis.corpus import pair
     from mapreplay.analysis.diff_folders import diff_pairs, pairs_frame, view_command
     from mapreplay.analysis.pool import default_jobs
+    from mapreplay.analysis.wording import count
     from mapreplay.cli.progress import progress_bar
 
     pairing = pair(of_a, of_b)
@@ -178,7 +179,10 @@ def _many(of_a: list[LoggedEpisode], of_b: list[LoggedEpisode]) -> _Result:
             .alias("they part in"),
             pl.col("move_step").alias("move"),
         ),
-        f"{len(frame)} pairs, {same} identical; mapping times, the largest difference first.",
+        (
+            f"{count(len(frame), 'pair')}, {same} identical; mapping times, the largest "
+            "difference first."
+        ),
     ]
     top = frame.row(0, named=True)
     if top["step"] is not None:

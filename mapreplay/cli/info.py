@@ -49,7 +49,8 @@ def info(
         ]
     facts += [("version", name, version) for name, version in header.versions]
     row = summarize(opened, str(opened.path))
-    facts += [
+    # An unfinished log has no end yet.
+    facts += [] if not opened.finished else [
         (
             "end",
             name.replace("_", " "),
@@ -72,6 +73,8 @@ def info(
             ],
         }
     )
-    emit(frame, "mapreplay.info/1", form, output, force=force)
+    # Hashes, the only long values, would not fit into 80 columns.
+    short = pl.col("value").str.replace(r"^([0-9a-f]{12})[0-9a-f]{52}$", "$1")
+    emit(frame, "mapreplay.info/1", form, output, text=frame.with_columns(short), force=force)
     if not opened.finished:
         raise typer.Exit(LOST)

@@ -172,7 +172,6 @@ def _brief(episodes: pl.DataFrame, further: list[str]) -> pl.DataFrame:
 
     frame = brief(episodes).select("floor_plan", "planner", "maps", "outcome", "steps")
     numbers = episodes.select(
-        pl.col("steps_to_90").alias("to 90"),
         "correct",
         "f1",
         pl.col("ece_pooled").alias("ece"),

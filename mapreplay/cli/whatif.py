@@ -72,7 +72,9 @@ def whatif(
     frame = what_if_frame(result, at)
     if plot is not None:
         _plot(plot, opened, result, at, force=force)
-    text: list[str | Command | pl.DataFrame] = [*_story(opened, at), "", *_heat(result, at)]
+    logged = opened.header.at(at).config
+    heat = _heat(result, at, logged.delta_free, logged.delta_occupied)
+    text: list[str | Command | pl.DataFrame] = [*_story(opened, at), "", *heat]
     emit(frame, "mapreplay.whatif/1", form, output, text=text, force=force)
 
 
@@ -138,30 +140,49 @@ def _story(log: EpisodeLog, step: int) -> list[str | Command | pl.DataFrame]:
     return lines
 
 
-def _heat(result: WhatIf, step: int) -> list[str | Command | pl.DataFrame]:
-    """Scores for some of the pairs, with a mark where the agent would have been sealed in."""
+def _heat(
+    result: WhatIf, step: int, logged_free: float, logged_occupied: float
+) -> list[str | Command | pl.DataFrame]:
+    """Scores for some of the pairs, those nearest to the logged thresholds among them, with a
+    mark where the agent would have been sealed in.
+    """
     import numpy as np
     import polars as pl
 
     ever = np.asarray(result.sealed.any(axis=0))
     mark = ", x where it would have been sealed in" if ever.any() else "; never sealed in"
-    rows, shown = _some(result.delta_occupied), list[str | Command | pl.DataFrame]()
+    rows = _some(result.delta_occupied, logged_occupied)
+    across = _some(result.delta_free, logged_free)
+    shown = list[str | Command | pl.DataFrame]()
     for name, values in (("F1", result.f1), ("Correct coverage", result.correct)):
         columns = {"occupied/free": [f"{result.delta_occupied[j]:.3f}" for j in rows]}
-        for i in _some(result.delta_free):
+        for i in across:
             columns[f"{result.delta_free[i]:.3f}"] = [
                 f"{values[step, i, j]:.3f}{'x' if ever[i, j] else ''}" for j in rows
             ]
         shown += [f"{name} at step {step}{mark}", pl.DataFrame(columns), ""]
-    return shown[:-1]
+    parts = [
+        f"{len(some)} of {len(all_)} values of {name}"
+        for name, some, all_ in (
+            ("delta_occupied", rows, result.delta_occupied),
+            ("delta_free", across, result.delta_free),
+        )
+        if len(some) < len(all_)
+    ]
+    return [*shown, f"{', '.join(parts)}; all with --format csv"] if parts else shown[:-1]
 
 
-def _some(values: tuple[float, ...]) -> list[int]:
-    """Indices of at most `COLUMNS` of them, the ends among them."""
+def _some(values: tuple[float, ...], logged: float) -> list[int]:
+    """Indices of at most `COLUMNS` of them, the ends and the nearest to `logged` among them."""
     count = min(COLUMNS, len(values))
     if count == 1:
         return [0]
-    return [round(k * (len(values) - 1) / (count - 1)) for k in range(count)]
+    chosen = [round(k * (len(values) - 1) / (count - 1)) for k in range(count)]
+    nearest = min(range(len(values)), key=lambda i: abs(values[i] - logged))
+    if nearest not in chosen:  # in place of a neighbour that is no end
+        inner = range(1, count - 1)
+        chosen[min(inner, key=lambda k: abs(chosen[k] - nearest))] = nearest
+    return chosen
 
 
 def _plot(path: Path, log: EpisodeLog, result: WhatIf, step: int, *, force: bool) -> None:

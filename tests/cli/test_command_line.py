@@ -120,6 +120,25 @@ def test_an_error_is_one_line_and_an_exit_code(
     assert "Traceback" not in result.err
 
 
+def test_info_fits_a_terminal_and_keeps_all_in_json(cli: Run) -> None:
+    log = next((Path(__file__).parents[2] / "samples/episodes").glob("*60014*.mcap"))
+    lines = cli("info", log).out.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert any(line.split()[:2] == ["end", "outcome"] for line in lines)
+    rows = json.loads(cli("info", log, "--format", "json").out)["rows"]
+    hashes = [row["value"] for row in rows if row["what"] == "sha256"]
+    assert [len(value) for value in hashes] == [64, 64]
+
+
+def test_info_of_an_unfinished_log_has_no_end(cli: Run, tmp_path: Path) -> None:
+    log = next((Path(__file__).parents[2] / "samples/episodes").glob("*60014*.mcap"))
+    cut = tmp_path / "cut.mcap.part"
+    cut.write_bytes(log.read_bytes()[: log.stat().st_size // 2])
+    result = cli("info", cut)
+    assert result.code == 3
+    assert not [line for line in result.out.splitlines() if line.split()[:1] == ["end"]]
+
+
 def test_run_writes_logs_and_says_where(cli: Run, tmp_path: Path) -> None:
     result = cli(
         "run", "--planner", "random", "--plan-on", "observed", "--build", "observed",

@@ -91,6 +91,9 @@ def test_whatif_says_what_would_have_kept_a_way_open(cli: Run, tmp_path: Path) -
     assert result.out.startswith("Open loop: ")
     assert "It is sealed in at step 10." in result.out
     assert f"mapreplay branch {SEALED} --at 10 --with delta-occupied=0.76" in result.out
+    assert "8 of 20 values of delta_occupied, 8 of 20 values of delta_free; all" in result.out
+    # The logged thresholds are 0.7; the nearest of the grid are always shown.
+    assert " 0.706 " in result.out.partition("occupied/free")[2].splitlines()[0]
     lines = [line for line in result.out.splitlines() if not line.startswith("mapreplay")]
     assert max(map(len, lines)) <= 80
     assert plot.read_bytes().startswith(b"\x89PNG")

@@ -24,6 +24,12 @@ def test_one_row_an_episode(cli: Run, logs: Path) -> None:
         assert row["ece_pooled"] is None  # nothing was predicted
 
 
+def test_the_table_of_episodes_fits_a_terminal(cli: Run, logs: Path) -> None:
+    lines = cli("metrics", logs, "--per", "episode").out.splitlines()
+    assert any("out_of_steps" in line for line in lines)  # the longest that there is
+    assert max(map(len, lines)) <= 80
+
+
 def test_all_formats_say_the_same(cli: Run, logs: Path, tmp_path: Path) -> None:
     from_json = json.loads(cli("metrics", logs, "--format", "json").out)["rows"]
     from_csv = list(csv.DictReader(io.StringIO(cli("metrics", logs, "--format", "csv").out)))

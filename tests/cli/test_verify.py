@@ -90,7 +90,7 @@ def test_an_unfinished_log_agrees_as_far_as_it_goes(cli: Run, part: Path) -> Non
     assert result.code == 3
     assert result.err.splitlines() == [
         f"{part}: unfinished; verified as far as it goes",
-        "1 logs, 10 steps: all agree, bit for bit",
+        "1 log, 10 steps: all agree, bit for bit",
     ]
 
 
@@ -115,7 +115,7 @@ def test_a_difference_weighs_more_than_a_loss(cli: Run, lie: Path, part: Path) -
 def test_where_chooses(cli: Run, logs: Path) -> None:
     result = cli("verify", logs, "--where", "floor_plan=procedural-9")
     assert result.code == 0
-    assert "1 logs, 31 steps" in result.err
+    assert "1 log, 31 steps" in result.err
     nothing = cli("verify", logs, "--where", "steps>30", "--format", "csv")
     assert nothing.code == 0
     assert nothing.out.count("\n") == 1
