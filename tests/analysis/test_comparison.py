@@ -62,7 +62,7 @@ def test_a_failure_takes_the_whole_budget_and_is_never_dropped() -> None:
     assert math.isinf(group.times[0])
     path = group.estimates["path to target"]
     assert (path.plans, path.undefined) == (3, 1)
-    assert "path to target of cost-utility is undefined on 1 floor plans" in result.notes
+    assert "path to target of cost-utility is undefined on 1 floor plan" in result.notes
     assert [p.share for p in result.incidence(group, [99, 100, 400])] == [0.0, 0.25, 0.75]
 
 
