@@ -60,7 +60,7 @@ def info(
                      "correct", "f1", "fail_safe_steps")
     ]  # fmt: skip
     facts += [
-        ("event", f"step {step.index}", f"{event.kind}: {event.text}")
+        ("event", f"{step.index} {event.kind}", event.text)
         for step in opened.steps()
         for event in step.events
     ]

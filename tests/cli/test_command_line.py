@@ -65,12 +65,16 @@ def test_a_mistyped_name_is_told_before_anything_slow_is_loaded(words: list[str]
 def test_help_is_quick() -> None:
     command = [sys.executable, "-m", "mapreplay", "--help"]
     subprocess.run(command, check=True, capture_output=True)
-    usage = os.times()
-    for _ in range(3):
+    spent = []
+    for _ in range(5):
+        before = os.times()
         subprocess.run(command, check=True, capture_output=True)
-    after = os.times()
-    spent = after.children_user + after.children_system - usage.children_user
-    assert (spent - usage.children_system) / 3 < 0.3  # CPU seconds: the machine may be busy
+        after = os.times()
+        spent.append(
+            after.children_user + after.children_system
+            - before.children_user - before.children_system
+        )  # fmt: skip
+    assert min(spent) < 0.3  # CPU seconds, and the least of them: the machine may be busy
 
 
 def test_the_version_is_printed(cli: Run) -> None:
@@ -241,7 +245,7 @@ def test_info_tells_everything_about_one_log(cli: Run, logs: Path) -> None:
     assert facts["end", "outcome"] == "out_of_steps"
     assert facts["floor plan", "cells"] == "64 x 64"
     assert facts["config", "planner"] == "nearest"
-    assert facts["event", "step 30"] == "outcome: out_of_steps after 30 steps"
+    assert facts["event", "30 outcome"] == "out_of_steps after 30 steps"
 
 
 def test_metrics_agree_with_the_recording_and_take_options(cli: Run, logs: Path) -> None:
