@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from mapreplay.analysis.comparison import compare, comparison_frame
     from mapreplay.analysis.corpus import pair, read_episode
     from mapreplay.analysis.diff import diff_frame, diff_logs
-    from mapreplay.analysis.episode_metrics import episode_metrics
     from mapreplay.analysis.groups import group_episodes
     from mapreplay.analysis.measurements import measure_log
     from mapreplay.analysis.parting import find_partings
+    from mapreplay.analysis.per_episode import episode_metrics
     from mapreplay.analysis.whatif import what_if, what_if_frame
 
 __all__ = [
@@ -45,7 +45,7 @@ _HOMES = {
     "comparison_frame": "comparison",
     "diff_frame": "diff",
     "diff_logs": "diff",
-    "episode_metrics": "episode_metrics",
+    "episode_metrics": "per_episode",
     "find_partings": "parting",
     "group_episodes": "groups",
     "measure_log": "measurements",

@@ -10,9 +10,9 @@ from typing import TypeAlias
 
 import polars as pl
 
-from mapreplay.analysis.episode_metrics import episode_metrics
 from mapreplay.analysis.measurements import Scope, measure_log
 from mapreplay.analysis.metrics import load_metric
+from mapreplay.analysis.per_episode import episode_metrics
 from mapreplay.analysis.pool import map_unordered
 from mapreplay.analysis.store import Store, Stored
 from mapreplay.errors import LogError, MapreplayError

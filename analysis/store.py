@@ -32,7 +32,7 @@ _CODE: Final = {
     "mapreplay.analysis": (
         "calibration.py",
         "curves.py",
-        "episode_metrics.py",
+        "per_episode.py",
         "episodes.py",
         "kernels.py",
         "measurements.py",

@@ -11,7 +11,6 @@ from sklearn import metrics as oracle
 
 from drawing import plan
 from mapreplay.analysis.calibration import distance_from_observed
-from mapreplay.analysis.episode_metrics import episode_metrics
 from mapreplay.analysis.measurements import (
     SCORES,
     Measurements,
@@ -20,6 +19,7 @@ from mapreplay.analysis.measurements import (
     measure_log,
 )
 from mapreplay.analysis.metrics import load_metric
+from mapreplay.analysis.per_episode import episode_metrics
 from mapreplay.foreign import ForeignEpisode
 from mapreplay.grid import UNKNOWN
 from mapreplay.mapping import dequantize

@@ -35,7 +35,7 @@ def test_of_several_logs_some_have_maps_and_all_have_scores() -> None:
     logs = [EpisodeLog(path) for path in sorted(SAMPLES.glob("*.mcap"))]
     replays = replays_of(logs)
     assert [replay.has_maps for replay in replays] == [True, True, False]
-    assert [replay.parts_at for replay in replays] == [None, 3, None]
+    assert [replay.parts_at for replay in replays] == [None, 2, None]
     (f1, *_) = replays[2].scores.values()
     assert len(f1) == len(logs[2])
     chosen = replays_of(logs, chosen=[1, 2])
