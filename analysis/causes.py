@@ -11,6 +11,7 @@ import numpy as np
 from mapreplay import plugins
 from mapreplay.analysis.difference import as_text, compare
 from mapreplay.analysis.parting import Layer, Moment, Partings
+from mapreplay.analysis.wording import counted
 from mapreplay.episode import Past, Travelled, ask, look_around
 from mapreplay.errors import MapreplayError
 from mapreplay.grid import UNKNOWN, Cell
@@ -53,7 +54,7 @@ def _observation(_a: EpisodeLog, _b: EpisodeLog, moment: Moment) -> str:
         return f"both stand at {as_text(a.agent)}; their rays differ"
     first = Cell(*cells[0].tolist())
     return (
-        f"both stand at {as_text(a.agent)}; {count(len(cells), 'observed cell')} "
+        f"both stand at {as_text(a.agent)}; {counted(len(cells), 'observed cell')} "
         f"{'differs' if len(cells) == 1 else 'differ'}, the first is {as_text(first)}: "
         f"{_name(a.observed[first])} in A, {_name(b.observed[first])} in B"
     )
@@ -68,7 +69,7 @@ def _prediction(_a: EpisodeLog, _b: EpisodeLog, moment: Moment) -> str:
     most = Cell(*(int(i) for i in np.unravel_index(int(gap.argmax()), gap.shape)))
     p_a, p_b = dequantize(a.p_wall)[most], dequantize(b.p_wall)[most]
     return (
-        f"both observed the same; {count(int((gap > 0).sum()), 'predicted cell')} differ, most "
+        f"both observed the same; {counted(int((gap > 0).sum()), 'predicted cell')} differ, most "
         f"at {as_text(most)}: p_wall {p_a:.3f} in A, {p_b:.3f} in B"
     )
 
@@ -86,7 +87,7 @@ def _fused(a: EpisodeLog, b: EpisodeLog, moment: Moment) -> str:
             f"{t_b.delta_free}, {t_b.delta_occupied} in B)"
         )
     return (
-        f"{count(int(differ.sum()), 'fused cell')} differ, the first is {as_text(first)}: "
+        f"{counted(int(differ.sum()), 'fused cell')} differ, the first is {as_text(first)}: "
         f"{_name(step_a.fused[first])} in A, {_name(step_b.fused[first])} in B{limits}"
     )
 
@@ -96,7 +97,7 @@ def _ranking(_a: EpisodeLog, _b: EpisodeLog, moment: Moment) -> str:
     if a.frontier.shape != b.frontier.shape or (a.frontier != b.frontier).any():
         counts = f"A chooses from {len(a.frontier)} frontier cells, B from {len(b.frontier)}"
     else:
-        counts = f"both choose from the same {count(len(a.frontier), 'frontier cell')}"
+        counts = f"both choose from the same {counted(len(a.frontier), 'frontier cell')}"
     best = [_best(step.decision) for step in (a, b)]
     if best[0] is None or best[1] is None:
         return counts
@@ -242,11 +243,6 @@ def _margin(decision: Decision) -> str:
 def _number(value: float) -> str:
     """Short, but with digits enough to see that two differ."""
     return f"{value:.4g}"
-
-
-def count(n: int, noun: str) -> str:
-    """So many of them, in words."""
-    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
 
 
 def _name(cell: object) -> str:

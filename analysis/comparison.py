@@ -39,7 +39,7 @@ from mapreplay.analysis.statistics import (
     paired_reduction,
     proportion,
 )
-from mapreplay.analysis.wording import count
+from mapreplay.analysis.wording import counted
 from mapreplay.config import MapKind
 from mapreplay.errors import MapreplayError, UsageError
 from mapreplay.step import Outcome
@@ -386,7 +386,7 @@ def _limits(plans: int, results: Sequence[GroupResult], effects: Sequence[Effect
         undefined = {m: e.undefined for m, e in result.estimates.items() if e.undefined}
         for measure, number in undefined.items():
             notes.append(
-                f"{measure} of {result.name} is undefined on {count(number, 'floor plan')}"
+                f"{measure} of {result.name} is undefined on {counted(number, 'floor plan')}"
             )
     if len(results) == 1:
         notes.append("one group: there is nothing to compare it with")

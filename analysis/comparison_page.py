@@ -21,7 +21,7 @@ from mapreplay.analysis.comparison_figures import CoverageFigure, IncidenceFigur
 from mapreplay.analysis.corpus import LoggedEpisode
 from mapreplay.analysis.diff_folders import view_command
 from mapreplay.analysis.figures import Draw, in_the_dark, render
-from mapreplay.analysis.wording import count, p_value, percent, share, with_interval
+from mapreplay.analysis.wording import counted, p_value, percent, share, with_interval
 from mapreplay.config import MapKind
 from mapreplay.floorplans.preview import encode_png
 from mapreplay.recorders.log import EpisodeLog
@@ -87,7 +87,7 @@ def comparison_page(comparison: Comparison) -> page.Page:
 
 def _lead(comparison: Comparison) -> str:
     plans = len(comparison.places)
-    many = count(plans, "floor plan")
+    many = counted(plans, "floor plan")
     if not comparison.savings:
         (group, *_) = comparison.groups
         return (
@@ -160,7 +160,7 @@ def _success(saving: Saving, comparison: Comparison) -> str:
     m = saving.success
     return (
         f"Reduction of mapping time, {saving.group}: {percent(saving.reduction)}; on the "
-        f"{count(saving.both.plans, 'floor plan')} that both mapped {percent(saving.both)}. "
+        f"{counted(saving.both.plans, 'floor plan')} that both mapped {percent(saving.both)}. "
         f"Mapped by it alone: {m.only_candidate}, by {comparison.baseline} alone: "
         f"{m.only_reference} "
         f"(McNemar, exact: p {p_value(m.p)}, Holm {p_value(saving.success_p_holm)})."
@@ -246,4 +246,4 @@ def _plans_table(comparison: Comparison) -> page.Block:
             row.append(share(float(1 - other / max(reference, 1))))
         rows.append(row)
     table = page.Table(head, rows, right=[len(head) - 1])
-    return page.Details(count(len(rows), "floor plan"), [table])
+    return page.Details(counted(len(rows), "floor plan"), [table])

@@ -7,7 +7,7 @@ from mapreplay.analysis.statistics import Estimate
 UNDEFINED = "-"
 
 
-def count(number: int, noun: str) -> str:
+def counted(number: int, noun: str) -> str:
     """``1 log``, ``2 logs``: of a noun whose plural takes an s."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
@@ -42,8 +42,3 @@ def p_value(p: float) -> str:
     if p != p:
         return UNDEFINED
     return f"{p:.2g}" if p >= 0.0001 else "<0.0001"
-
-
-def counted(number: int, noun: str) -> str:
-    """``1 wall``, ``2 walls``."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

@@ -95,7 +95,7 @@ def worth(
     import polars as pl
 
     from mapreplay.analysis.benchmark import mean_worth, measure_worth
-    from mapreplay.analysis.wording import count
+    from mapreplay.analysis.wording import counted
     from mapreplay.cli.progress import progress_bar
     from mapreplay.predictors import load_predictor
 
@@ -114,7 +114,7 @@ def worth(
     mean = mean_worth(rows)
     note(
         f"reduction {mean.mean:.1%}, 95 % interval {mean.low:.1%} to {mean.high:.1%}, "
-        f"{count(mean.plans, 'floor plan')}"
+        f"{counted(mean.plans, 'floor plan')}"
     )
 
 

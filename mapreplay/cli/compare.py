@@ -101,7 +101,7 @@ def compare(
 def _text(result: Comparison) -> list[str | Command | pl.DataFrame]:
     import polars as pl
 
-    from mapreplay.analysis.wording import count, p_value, percent
+    from mapreplay.analysis.wording import counted, p_value, percent
 
     plans = len(result.places)
     by = ", ".join(result.by)
@@ -138,7 +138,7 @@ def _text(result: Comparison) -> list[str | Command | pl.DataFrame]:
         ]
         if both.plans < plans:
             shown.append(
-                f"On the {count(both.plans, 'floor plan')} that both mapped: {percent(both)}"
+                f"On the {counted(both.plans, 'floor plan')} that both mapped: {percent(both)}"
             )
         shown.append(_against(effects))
         m = saving.success

@@ -102,7 +102,7 @@ def _check(
 
 def _tell(results: dict[str, Verification]) -> None:
     """The differences, line by line, and the verdict."""
-    from mapreplay.analysis.wording import count
+    from mapreplay.analysis.wording import counted
 
     for file, result in results.items():
         for difference in result.differences:
@@ -114,7 +114,7 @@ def _tell(results: dict[str, Verification]) -> None:
     wrong = sum(not result.agrees for result in results.values())
     steps = sum(result.steps for result in results.values())
     verdict = f"{wrong} differ" if wrong else "all agree, bit for bit"
-    note(f"{count(len(results), 'log')}, {count(steps, 'step')}: {verdict}")
+    note(f"{counted(len(results), 'log')}, {counted(steps, 'step')}: {verdict}")
 
 
 def _frame(results: dict[str, Verification]) -> pl.DataFrame:
