@@ -16,7 +16,7 @@ from mapreplay.floorplan import explorable
 from mapreplay.floorplans.procedural import generate
 from mapreplay.grid import Grid
 from mapreplay.mapping import PredictionDtype, quantize
-from mapreplay.predictors.network import MapPredictor, one_hot
+from mapreplay.predictors.network import one_hot
 from mapreplay.predictors.trained import TrainedPredictor, load_model
 from mapreplay.sensor import Sensor
 from mapreplay.step import PredictorIdentity
@@ -55,9 +55,9 @@ def measure_prediction(weights: Path, size: int, maps: int, rounds: int) -> list
     """
     torch.set_num_threads(1)
     cells = [observed_map(i, size) for i in range(maps)]
-    model = load_model(weights)
+    model, architecture = load_model(weights)
     plain, last = torch.contiguous_format, torch.channels_last
-    ours = TrainedPredictor(model, PredictorIdentity(weights.name, ""), "cpu")
+    ours = TrainedPredictor(model, architecture, PredictorIdentity(weights.name, ""), "cpu")
     ways: dict[str, Callable[[], list[Floats]]] = {
         "PyTorch, 1 map, NCHW": lambda: list(_eager(model, cells, 1, plain)),
         "PyTorch, 1 map, channels last": lambda: list(_eager(model, cells, 1, last)),
@@ -96,7 +96,7 @@ def observed_map(number: int, size: int) -> Grid:
 
 @torch.inference_mode()
 def _eager(
-    model: MapPredictor, cells: list[Grid], batch: int, layout: torch.memory_format
+    model: torch.nn.Module, cells: list[Grid], batch: int, layout: torch.memory_format
 ) -> Iterator[Floats]:
     # torch's own annotations do not know memory_format
     model = model.to(memory_format=layout)  # type: ignore[call-overload]

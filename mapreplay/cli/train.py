@@ -1,4 +1,4 @@
-"""`mapreplay train`: train the paper's network."""
+"""`mapreplay train`: train a map predictor."""
 
 from __future__ import annotations
 
@@ -20,10 +20,18 @@ if TYPE_CHECKING:
 
 
 def train(
-    floorplans: Annotated[
-        str, typer.Option(help="Floor plans to train on; see `mapreplay floorplans --help`.")
-    ],
     out: Annotated[Path, typer.Option(help="Weights to write: NAME.safetensors.")],
+    floorplans: Annotated[
+        str | None,
+        typer.Option(help="Floor plans to train on; see `mapreplay floorplans --help`."),
+    ] = None,
+    from_logs: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Logs, folders or globs: train on what their agents observed; with --floorplans, "
+            "on half of each."
+        ),
+    ] = None,
     ids: Annotated[Path | None, typer.Option(help="File with one id a line.")] = None,
     validate: Annotated[
         str | None,
@@ -41,10 +49,17 @@ def train(
     batch: Annotated[int, typer.Option(min=1, help="Maps of 64 x 64 cells a batch.")] = 32,
     learning_rate: Annotated[float, typer.Option(help="Peak.")] = 2e-3,
     seed: Annotated[int, typer.Option(min=0, help="Of weights, order and observations.")] = 0,
+    architecture: Annotated[
+        str, typer.Option(help="The network: autoencoder (the paper's), or unet.")
+    ] = "autoencoder",
     loss_region: Annotated[
         str,
-        typer.Option(help="Cells that count in the loss: all (the paper's), or explorable."),
+        typer.Option(
+            help="Cells that count in the loss: all (the paper's), explorable, or nearby (unseen "
+            "explorable ones, the nearer to the seen the more)."
+        ),
     ] = "all",
+    weight_decay: Annotated[float, typer.Option(min=0, help="Of AdamW.")] = 0.0,
     init: Annotated[
         Path | None, typer.Option(help="Weights to start from, instead of random ones.")
     ] = None,
@@ -59,10 +74,15 @@ def train(
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint.")] = False,
     force: ForceOption = False,
 ) -> None:
-    """Train a map predictor on floor plans.
+    """Train a map predictor on floor plans, or on logs.
 
-    On simulated observations of them; with checkpoints, and a model card beside the weights.
+    On simulated observations of the floor plans, or on those of the agents that were logged; with
+    checkpoints, and a model card beside the weights.
     """
+    if floorplans is None and not from_logs:
+        raise UsageError("train: give plans to train on, by --floorplans SPEC or --from-logs LOGS")
+    if floorplans is None and hold_out:
+        raise UsageError("--hold-out: of --floorplans; with --from-logs alone give --validate SPEC")
     if out.suffix != ".safetensors":
         raise UsageError(f"--out {out}: should end in .safetensors")
     if validate is None and hold_out == 0:
@@ -79,11 +99,14 @@ def train(
 
     from mapreplay.cli.progress import progress_bar
     from mapreplay.floorplans import open_source, read_ids, select
+    from mapreplay.predictors.architectures import ARCHITECTURES
     from mapreplay.predictors.weights import file_sha256, load_tensors
     from mapreplay.training.loop import CurvePoint, LossRegion, Trainer, TrainingConfig, finish
 
     if loss_region not in list(LossRegion):
         raise UsageError(f"--loss-region {loss_region}: choose {' or '.join(LossRegion)}")
+    if architecture not in ARCHITECTURES:
+        raise UsageError(f"--architecture {architecture}: choose {' or '.join(ARCHITECTURES)}")
     if init is not None:
         load_tensors(init)  # refused now, and not when all plans are loaded
     if threads is not None:
@@ -96,20 +119,30 @@ def train(
         validate_every=validate_every,
         loss_region=LossRegion(loss_region),
         init_sha256=file_sha256(init) if init else "",
+        architecture=architecture,
+        weight_decay=weight_decay,
         bfloat16=bfloat16,
     )
-    source = open_source(floorplans, resolution)
-    wanted = list(select(source, read_ids(ids) if ids else None, None).ids)
+    wanted: list[str] = []
+    if floorplans is not None:
+        source = open_source(floorplans, resolution)
+        wanted = list(select(source, read_ids(ids) if ids else None, None).ids)
     if validate is not None:
         other = open_source(validate, resolution)
-        held = _load("validation", other, list(other.ids())[:validation_plans])
+        held_ids = list(other.ids())[:validation_plans]
+        held = _load("validation", other, held_ids)
     else:
         held_ids = sorted(wanted, key=lambda i: hashlib.sha256(i.encode()).hexdigest())[:hold_out]
-        wanted = [i for i in wanted if i not in set(held_ids)]
         held = _load("validation", source, sorted(held_ids[:validation_plans]))
     if not held:
         raise UsageError("nothing to validate on: give --validate or --hold-out")
-    trainer = Trainer(_load("training", source, wanted), held, config, device, checkpoint)
+    apart = frozenset(held_ids)
+    plans = []
+    if floorplans is not None:
+        plans = _load("training", source, [i for i in wanted if i not in apart])
+    if from_logs:
+        plans += _load_logs(from_logs, apart)
+    trainer = Trainer(plans, held, config, device, checkpoint)
     if init is not None:
         trainer.start_from(init)
     if resume and checkpoint.exists():
@@ -128,7 +161,7 @@ def train(
     card = finish(
         trainer,
         out,
-        trained_on=floorplans if "/" not in floorplans else Path(floorplans).name,
+        trained_on=_name(floorplans, from_logs),
         validated_on=validate or f"{len(held)} of {hold_out} held-out plans",
         command=shlex.join(["mapreplay", *(Path(a).name for a in sys.argv[1:])]),
     )
@@ -153,3 +186,45 @@ def _load(what: str, source: FloorPlanSource, ids: Sequence[str]) -> list[Traini
     if not plans and ids:
         raise FloorPlanError(f"no {what} plan is left ({refused[0]})")
     return plans
+
+
+def _load_logs(paths: list[Path], apart: frozenset[str]) -> list[TrainingPlan]:
+    """What the agents of logs had observed, without those of the plans `apart`, which validate.
+
+    Raises:
+        LogError: there are none, or none can be read.
+    """
+    from mapreplay.cli.progress import progress_bar
+    from mapreplay.errors import LogError
+    from mapreplay.recorders.log import EpisodeLog
+    from mapreplay.recorders.paths import find_logs
+    from mapreplay.recorders.sampled import observed_maps
+    from mapreplay.training.dataset import MAPS_PER_LOG, prepare_plan
+
+    found = find_logs(paths)
+    plans, left_out = [], 0
+    with progress_bar() as bar:
+        for number, path in enumerate(bar.track(found, len(found), description="logs")):
+            try:
+                log = EpisodeLog(path)
+                plan = log.header.floor_plan
+                if plan.id in apart:
+                    left_out += 1
+                    continue
+                maps = observed_maps(log, MAPS_PER_LOG)
+            except LogError as error:
+                note(f"left out: {error}")
+                continue
+            plans.append(prepare_plan(number, plan, log.header.start, maps))
+    if left_out:
+        note(f"logs left out because their floor plans validate: {left_out}")
+    if not plans:
+        raise LogError("no log is left to train on")
+    return plans
+
+
+def _name(floorplans: str | None, logs: list[Path] | None) -> str:
+    """What was trained on, with no folder of this machine."""
+    names = [floorplans if "/" not in floorplans else Path(floorplans).name] if floorplans else []
+    names += [f"logs {path.name}" for path in logs or []]
+    return ", ".join(names)

@@ -22,7 +22,9 @@ from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Grid
 KERNELS: Final = 25
 LAYERS: Final = 9
 STRIDE_MULTIPLE: Final = 8
-"""Maps are padded with unknown cells to a multiple of this."""
+"""Maps are padded to a multiple of this."""
+OUTSIDE: Final = -2
+"""A cell that is not of the floor plan's grid: neither occupied nor free nor unknown."""
 
 
 class MapPredictor(nn.Module):
@@ -65,9 +67,9 @@ class MapPredictor(nn.Module):
 
 
 class EagerNetwork:
-    """A `MapPredictor` as PyTorch runs it, one map at a time, on any device."""
+    """A network as PyTorch runs it, one map at a time, on any device."""
 
-    def __init__(self, model: MapPredictor, device: str) -> None:
+    def __init__(self, model: nn.Module, device: str) -> None:
         """Moves `model` to `device`; RuntimeError or AssertionError if there is none such."""
         torch.set_num_threads(1)  # episodes run in parallel, and a map is too small to share
         self._device = device
@@ -81,20 +83,20 @@ class EagerNetwork:
         return torch.sigmoid(logits[0, 0]).cpu().numpy().astype(np.float32, copy=False)
 
 
-def pad_to_multiple(cells: Grid) -> Grid:
-    """`cells` with unknown rows and columns added at the high ends, to a multiple of 8."""
+def pad_to_multiple(cells: Grid, padding: int) -> Grid:
+    """`cells` with rows and columns of `padding` added at the high ends, to a multiple of 8."""
     height, width = cells.shape
     if height % STRIDE_MULTIPLE == width % STRIDE_MULTIPLE == 0:
         return cells
     return np.pad(
         cells,
         ((0, -height % STRIDE_MULTIPLE), (0, -width % STRIDE_MULTIPLE)),
-        constant_values=UNKNOWN,
+        constant_values=padding,
     )
 
 
 def one_hot(cells: npt.NDArray[np.int8]) -> Tensor:
-    """int8[B, H, W] cells to float32[B, 3, H, W], channels last in memory."""
+    """int8[B, H, W] cells to float32[B, 3, H, W], channels last in memory; `OUTSIDE` is 0, 0, 0."""
     maps = torch.from_numpy(np.ascontiguousarray(cells))
     channels = torch.stack([maps == OCCUPIED, maps == FREE, maps == UNKNOWN], dim=1)
     return channels.to(torch.float32).contiguous(memory_format=torch.channels_last)

@@ -1,4 +1,4 @@
-"""The paper's network with trained weights, as a predictor."""
+"""Networks with trained weights, as predictors."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 import torch
+from torch import nn
 
 from mapreplay.errors import UsageError
 from mapreplay.grid import Grid
-from mapreplay.predictors.inference import CompiledNetwork
-from mapreplay.predictors.network import EagerNetwork, MapPredictor, pad_to_multiple
+from mapreplay.predictors.architectures import Architecture, architecture_of
+from mapreplay.predictors.network import EagerNetwork, pad_to_multiple
 from mapreplay.predictors.weights import file_sha256, load_state, load_tensors
 from mapreplay.step import PredictorIdentity
 
@@ -20,35 +21,36 @@ WEIGHTS: Final = Path(__file__).parent / "weights_v1"
 
 
 class TrainedPredictor:
-    """Runs a `MapPredictor` on one map at a time: compiled on the CPU, else by PyTorch."""
+    """Runs a network on one map at a time."""
 
-    def __init__(self, model: MapPredictor, identity: PredictorIdentity, device: str) -> None:
+    def __init__(
+        self, model: nn.Module, architecture: Architecture, identity: PredictorIdentity, device: str
+    ) -> None:
         self.identity = identity
-        self._network: CompiledNetwork | EagerNetwork
+        self._padding = architecture.padding
         if torch.device(device).type == "cpu":
-            self._network = CompiledNetwork(
-                {name: tensor.cpu().numpy() for name, tensor in model.state_dict().items()}
-            )
+            self._engine = architecture.on_cpu(model)
         else:
-            self._network = EagerNetwork(model, device)
+            self._engine = EagerNetwork(model, device)
 
     def predict(self, observed: Grid) -> npt.NDArray[np.float32]:
         """See `mapreplay.predictors.Predictor`."""
         height, width = observed.shape
-        p_wall = self._network.p_wall(pad_to_multiple(observed))
+        p_wall = self._engine.p_wall(pad_to_multiple(observed, self._padding))
         return np.ascontiguousarray(p_wall[:height, :width])
 
 
-def load_model(path: Path) -> MapPredictor:
-    """PyTorch's network with the weights of the safetensors file `path`.
+def load_model(path: Path) -> tuple[nn.Module, Architecture]:
+    """PyTorch's network with the weights of the safetensors file `path`, and which it is.
 
     Raises:
         WeightsError: it cannot be read, or holds the weights of another network.
     """
-    tensors, _ = load_tensors(path)
-    model = MapPredictor().eval()
+    tensors, notes = load_tensors(path)
+    architecture = architecture_of(notes, path)
+    model = architecture.build().eval()
     load_state(model, tensors, path)
-    return model
+    return model, architecture
 
 
 def load_network(path: Path, device: str, name: str | None = None) -> TrainedPredictor:
@@ -58,10 +60,10 @@ def load_network(path: Path, device: str, name: str | None = None) -> TrainedPre
         WeightsError: it cannot be read, or holds the weights of another network.
         UsageError: there is no such device.
     """
-    model = load_model(path)
+    model, architecture = load_model(path)
     identity = PredictorIdentity(name or path.name, file_sha256(path))
     try:
-        return TrainedPredictor(model, identity, device)
+        return TrainedPredictor(model, architecture, identity, device)
     except (RuntimeError, AssertionError) as error:
         raise UsageError(
             f"device {device!r} cannot be used ({str(error).splitlines()[0]})"

@@ -11,13 +11,23 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Final
 
+import cv2
 import numpy as np
+import numpy.typing as npt
 import torch
+from torch import nn
 from torch.nn import functional
 
 from mapreplay import scores
 from mapreplay.errors import WeightsError
-from mapreplay.predictors.network import MapPredictor, one_hot
+from mapreplay.grid import UNKNOWN
+from mapreplay.predictors.architectures import (
+    ARCHITECTURES,
+    AUTOENCODER,
+    architecture_of,
+    notes_of,
+)
+from mapreplay.predictors.network import one_hot
 from mapreplay.predictors.weights import (
     ModelCard,
     file_sha256,
@@ -39,6 +49,10 @@ class LossRegion(StrEnum):
     EXPLORABLE = "explorable"
     """Those that coverage counts. So p_wall is the probability of a wall *given that the cell
     can be mapped at all*: what is confident about it is confident about what is to be mapped."""
+    NEARBY = "nearby"
+    """Those of them that were not observed, with the weight 1 / (1 + d / 4) at a distance of d
+    cells (chessboard) from an observed one: far away there are many and nothing can be told.
+    The weight depends on what the network is given, so that its probabilities are the same."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +71,9 @@ class TrainingConfig:
     loss_region: LossRegion = LossRegion.ALL
     init_sha256: str = ""
     """Of the weights that the training starts from; empty: random ones."""
+    architecture: str = AUTOENCODER.name
+    weight_decay: float = 0.0
+    """AdamW's."""
     bfloat16: bool = False
     """Compute in bfloat16 where that is allowed: over twice as fast on a CPU with AMX."""
 
@@ -104,11 +121,14 @@ class Trainer:
         self.config = config
         self.device = torch.device(device)
         self.checkpoint = checkpoint
+        self.architecture = ARCHITECTURES[config.architecture]
         # torch's own annotations do not know memory_format
-        self.model: MapPredictor = MapPredictor().to(  # type: ignore[call-overload]
+        self.model: nn.Module = self.architecture.build().to(  # type: ignore[call-overload]
             self.device, memory_format=torch.channels_last
         )
-        self.optimizer = torch.optim.Adam(self.model.parameters(), lr=config.learning_rate)
+        self.optimizer = torch.optim.AdamW(
+            self.model.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
+        )
         self.validation = _validation_batches(validation, config)
         self.state = _State()
 
@@ -130,7 +150,7 @@ class Trainer:
         config, state = self.config, self.state
         cells = config.batch * 64 * 64
         while state.samples < config.samples:
-            epoch = Epoch(self.plans, cells, config.seed, state.epoch)
+            epoch = Epoch(self.plans, cells, config.seed, state.epoch, self.architecture.padding)
             for group in epoch.batches()[state.batch :]:
                 began = time.monotonic()
                 self._step(epoch.batch(group))
@@ -178,10 +198,7 @@ class Trainer:
         loss = functional.binary_cross_entropy_with_logits(
             self._logits(batch), (truth > 0).float(), reduction="none"
         )
-        if self.config.loss_region is LossRegion.EXPLORABLE:
-            counted = torch.from_numpy(batch.explorable).to(self.device)
-        else:
-            counted = truth >= 0
+        counted = torch.from_numpy(loss_weights(batch, self.config.loss_region)).to(self.device)
         return (loss * counted).sum() / counted.sum()
 
     def _curve_point(self) -> CurvePoint:
@@ -216,7 +233,11 @@ class Trainer:
         Raises:
             WeightsError: they cannot be read, or are of another network.
         """
-        tensors, _ = load_tensors(weights)
+        tensors, notes = load_tensors(weights)
+        if (theirs := architecture_of(notes, weights)) is not self.architecture:
+            raise WeightsError(
+                f"{weights}: weights of the network {theirs.name}, not {self.architecture.name}"
+            )
         load_state(self.model, tensors, weights)
 
     def save(self) -> None:
@@ -260,6 +281,22 @@ class Trainer:
         self.optimizer.load_state_dict({"state": slots, "param_groups": groups})
 
 
+def loss_weights(batch: Batch, region: LossRegion) -> npt.NDArray[np.float32]:
+    """float32[B, H, W]: how much each cell counts in the loss."""
+    match region:
+        case LossRegion.ALL:
+            return np.asarray(batch.truth != UNKNOWN, np.float32)
+        case LossRegion.EXPLORABLE:
+            return np.asarray(batch.explorable, np.float32)
+        case LossRegion.NEARBY:
+            unseen = batch.observed < 0
+            distances = [
+                cv2.distanceTransform(cells, cv2.DIST_C, 3) for cells in unseen.astype(np.uint8)
+            ]
+            near = 1 / (1 + np.stack(distances) / 4)
+            return np.asarray(np.where(batch.explorable & unseen, near, 0), np.float32)
+
+
 def finish(
     trainer: Trainer, out: Path, *, trained_on: str, validated_on: str, command: str
 ) -> ModelCard:
@@ -267,11 +304,11 @@ def finish(
 
     The texts say in the card what the plans were, and how to make the weights again.
     """
-    save_tensors(out, trainer.model.state_dict(), {})
+    save_tensors(out, trainer.model.state_dict(), notes_of(trainer.architecture))
     last = trainer.curve[-1]
     card = ModelCard(
         name=out.stem,
-        architecture="convolutional autoencoder of Zwecher et al. 2022, 9 + 9 layers of 25 kernels",
+        architecture=trainer.architecture.description,
         trained_on=trained_on,
         validated_on=validated_on,
         plans=len(trainer.plans),
@@ -298,10 +335,11 @@ def _validation_batches(plans: Sequence[TrainingPlan], config: TrainingConfig) -
     by_shape: dict[tuple[int, int], list[TrainingPlan]] = {}
     for plan in plans:
         by_shape.setdefault(padded_shape(plan), []).append(plan)
+    padding = ARCHITECTURES[config.architecture].padding
     batches = []
     for (height, width), group in sorted(by_shape.items()):
         size = max(1, config.batch * 64 * 64 // (height * width))
         for i in range(0, len(group), size):
             part = group[i : i + size]
-            batches.append(make_batch(part, [0] * len(part), VALIDATION_SEED))
+            batches.append(make_batch(part, [0] * len(part), VALIDATION_SEED, padding))
     return batches

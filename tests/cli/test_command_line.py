@@ -105,7 +105,11 @@ TRAIN = "train --floorplans procedural:0 --validate procedural:1 --out x.safeten
         ("view nowhere.mcap", 1, "nowhere.mcap"),
         ("export nowhere.mcap", 2, "say what to write"),
         ("train --floorplans procedural:0-1 --out x.pt", 2, "should end in .safetensors"),
-        (f"{TRAIN} --loss-region some", 2, "--loss-region some: choose all or explorable"),
+        (f"{TRAIN} --loss-region some", 2, "some: choose all or explorable or nearby"),
+        (f"{TRAIN} --architecture mlp", 2, "--architecture mlp: choose autoencoder or unet"),
+        (f"{TRAIN} --from-logs nowhere", 1, "nowhere"),
+        ("train --validate procedural:1 --out x.safetensors", 2, "--floorplans SPEC or --from-l"),
+        ("train --from-logs a --hold-out 1 --out x.safetensors", 2, "give --validate SPEC"),
         (f"{TRAIN} --init no.safetensors", 1, "no.safetensors: cannot be read"),
         ("metrics nowhere.mcap --region some", 2, "should be explorable or all"),
     ],
@@ -342,6 +346,23 @@ def test_train_makes_weights_that_run_can_use(cli: Run, tmp_path: Path) -> None:
     assert more["loss_region"] == "explorable"
     ran = cli("run", "--predictor", out, "--max-steps", 2, "--out", tmp_path / "o")
     assert ran.code == 0, ran.err
+
+
+def test_train_from_logs_makes_weights_that_run_can_use(cli: Run, tmp_path: Path) -> None:
+    logs, out = tmp_path / "logs", tmp_path / "second.safetensors"
+    ran = cli("run", "--floorplans", "procedural:0-2", "--max-steps", 20, "--out", logs)
+    assert ran.code == 0, ran.err
+    result = cli("train", "--from-logs", logs, "--floorplans", "procedural:5-9", "--architecture",
+                 "unet", "--loss-region", "nearby", "--validate", "procedural:2",
+                 "--samples", "40", "--batch", "8", "--out", out)  # fmt: skip
+    assert result.code == 0, result.err
+    assert "logs left out because their floor plans validate: 1" in result.err
+    card = json.loads(out.with_suffix(".json").read_text())
+    assert card["trained_on"] == "procedural:5-9, logs logs"
+    assert card["plans"] == 5 + 2
+    assert card["architecture"].startswith("U-Net")
+    again = cli("run", "--predictor", out, "--max-steps", 2, "--out", tmp_path / "o")
+    assert again.code == 0, again.err
 
 
 def test_ctrl_c_leaves_readable_logs_and_exit_code_130(cli: Run, tmp_path: Path) -> None:

@@ -10,6 +10,8 @@ from mapreplay.errors import FloorPlanError, WeightsError
 from mapreplay.floorplan import FloorPlan, explorable
 from mapreplay.floorplans.procedural import Style, generate
 from mapreplay.grid import FREE, UNKNOWN, Cell
+from mapreplay.predictors.architectures import ARCHITECTURES
+from mapreplay.predictors.network import OUTSIDE
 from mapreplay.sensor import Sensor
 from mapreplay.training.dataset import (
     Epoch,
@@ -19,7 +21,7 @@ from mapreplay.training.dataset import (
     padded_shape,
     prepare_plan,
 )
-from mapreplay.training.loop import LossRegion, Trainer, TrainingConfig, finish
+from mapreplay.training.loop import LossRegion, Trainer, TrainingConfig, finish, loss_weights
 from mapreplay.training.observations import (
     RUNS_PER_PLAN,
     observation_draws,
@@ -68,13 +70,13 @@ def test_the_same_run_is_the_same_observation_and_another_run_is_not() -> None:
 def test_an_epoch_has_every_run_of_every_plan_once_and_batches_of_one_size() -> None:
     mixed = [prepare_plan(i, FloorPlan("box", np.pad(np.zeros((6 + i, 9), np.int8), 1,
              constant_values=100), 0.2)) for i in range(10)]  # fmt: skip
-    epoch = Epoch(mixed, cells_per_batch=400, seed=1, number=0)
+    epoch = Epoch(mixed, cells_per_batch=400, seed=1, number=0, padding=UNKNOWN)
     groups = epoch.batches()
     assert sorted(pair for group in groups for pair in group) == [
         (p, r) for p in range(10) for r in range(RUNS_PER_PLAN)
     ]
-    assert groups == Epoch(mixed, 400, 1, 0).batches()
-    assert groups != Epoch(mixed, 400, 1, 1).batches()
+    assert groups == Epoch(mixed, 400, 1, 0, UNKNOWN).batches()
+    assert groups != Epoch(mixed, 400, 1, 1, UNKNOWN).batches()
     for group in groups:
         batch = epoch.batch(group)
         assert batch.observed.shape == batch.truth.shape == batch.explorable.shape
@@ -114,9 +116,13 @@ def test_one_bad_plan_does_not_end_the_loading() -> None:
 
 
 def train(
-    plans: list[TrainingPlan], checkpoint: Path, stop_after: int | None = None, resume: bool = False
+    plans: list[TrainingPlan],
+    checkpoint: Path,
+    stop_after: int | None = None,
+    resume: bool = False,
+    architecture: str = "autoencoder",
 ) -> Trainer:
-    config = TrainingConfig(samples=480, batch=8, validate_every=120)
+    config = TrainingConfig(samples=480, batch=8, validate_every=120, architecture=architecture)
     trainer = Trainer(plans[:10], plans[10:], config, "cpu", checkpoint)
     if resume:
         trainer.resume()
@@ -126,20 +132,23 @@ def train(
     return trainer
 
 
-def test_training_learns(plans: list[TrainingPlan], tmp_path: Path) -> None:
-    trainer = train(plans, tmp_path / "a.checkpoint")
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
+def test_training_learns(plans: list[TrainingPlan], tmp_path: Path, architecture: str) -> None:
+    trainer = train(plans, tmp_path / "a.checkpoint", architecture=architecture)
     losses = [point.validation_loss for point in trainer.curve]
     assert len(losses) == 4
     assert losses[-1] < losses[0]
     assert trainer.samples >= 480
 
 
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
 def test_training_goes_on_where_it_was_killed_and_ends_the_same(
-    plans: list[TrainingPlan], tmp_path: Path
+    plans: list[TrainingPlan], tmp_path: Path, architecture: str
 ) -> None:
-    whole = train(plans, tmp_path / "whole.checkpoint")
-    train(plans, tmp_path / "cut.checkpoint", stop_after=240)
-    resumed = train(plans, tmp_path / "cut.checkpoint", resume=True)
+    whole = train(plans, tmp_path / "whole.checkpoint", architecture=architecture)
+    cut = tmp_path / "cut.checkpoint"
+    train(plans, cut, stop_after=240, architecture=architecture)
+    resumed = train(plans, cut, resume=True, architecture=architecture)
     assert [p.samples for p in resumed.curve] == [p.samples for p in whole.curve]
     for name, value in whole.model.state_dict().items():
         assert (resumed.model.state_dict()[name] == value).all(), name
@@ -159,7 +168,7 @@ def test_a_checkpoint_of_another_configuration_is_refused(
 
 
 def test_batches_are_what_make_batch_says(plans: list[TrainingPlan]) -> None:
-    batch = make_batch(plans[:3], [0, 1, 2], seed=5)
+    batch = make_batch(plans[:3], [0, 1, 2], seed=5, padding=OUTSIDE)
     assert batch.observed.shape == (3, 24, 24)
     known = batch.observed != UNKNOWN
     assert (batch.observed[known] == batch.truth[known]).all()
@@ -199,3 +208,65 @@ def test_training_starts_from_given_weights(plans: list[TrainingPlan], tmp_path:
     second.start_from(weights)
     for name, value in first.model.state_dict().items():
         assert (second.model.state_dict()[name] == value).all(), name
+
+
+def test_weights_of_another_architecture_are_no_start(
+    plans: list[TrainingPlan], tmp_path: Path
+) -> None:
+    first = train(plans, tmp_path / "first.checkpoint")
+    weights = tmp_path / "first.safetensors"
+    finish(first, weights, trained_on="a", validated_on="b", command="c")
+    config = TrainingConfig(samples=8, batch=8, architecture="unet")
+    second = Trainer(plans[:10], plans[10:], config, "cpu", tmp_path / "second.checkpoint")
+    with pytest.raises(WeightsError, match="weights of the network autoencoder, not unet"):
+        second.start_from(weights)
+
+
+def test_nearby_unseen_cells_count_more() -> None:
+    hall = plan("""
+        ########
+        #......#
+        #......#
+        ########
+    """)
+    seen = draw("""
+        ??######
+        ????...#
+        ????...#
+        ??######
+    """)
+    item = prepare_plan(0, hall, logged=[seen])
+    batch = make_batch([item], [0], seed=0, padding=OUTSIDE)
+    weights = loss_weights(batch, LossRegion.NEARBY)[0, :4, :8]
+    assert weights[1].tolist() == pytest.approx([2 / 3, 4 / 5, 4 / 5, 4 / 5, 0, 0, 0, 0])
+    assert weights[0].tolist() == pytest.approx([2 / 3, 4 / 5, 0, 0, 0, 0, 0, 0])
+    assert (loss_weights(batch, LossRegion.NEARBY)[0, 4:] == 0).all()  # outside of the grid
+
+
+def test_an_epoch_has_all_logged_maps_and_as_many_simulated_ones(
+    plans: list[TrainingPlan],
+) -> None:
+    truth = plans[0].truth
+    logs = [
+        TrainingPlan(i, truth, plans[0].explorable, (np.full_like(truth, UNKNOWN),) * (3 + i))
+        for i in range(2)
+    ]
+    drawn = []
+    for number in range(2):
+        epoch = Epoch([*plans, *logs], 4096, 0, number, OUTSIDE)
+        pairs = [pair for group in epoch.batches() for pair in group]
+        logged = sorted((i, run) for i, run in pairs if i >= len(plans))
+        assert logged == [(12, 0), (12, 1), (12, 2), (13, 0), (13, 1), (13, 2), (13, 3)]
+        drawn.append({pair for pair in pairs if pair[0] < len(plans)})
+        assert len(drawn[-1]) == 7
+    assert drawn[0] != drawn[1]
+
+
+def test_a_logged_map_is_cut_like_its_floor_plan() -> None:
+    cells = np.full((400, 300), 100, np.int8)
+    cells[1:-1, 1:-1] = 0
+    hall = FloorPlan("hall", cells, 0.2)
+    item = prepare_plan(0, hall, Cell(390, 20), [cells])
+    assert (item.logged[0] == item.truth).all()
+    assert item.truth.shape == (160, 160)
+    assert item.runs == 1
