@@ -5,13 +5,21 @@ from __future__ import annotations
 import statistics
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 
+from mapreplay.analysis.calibration import (
+    PredictionCounts,
+    calibration_scores,
+    decided,
+    score_interval,
+)
+from mapreplay.analysis.experiment.curve import measure_plan
 from mapreplay.analysis.statistics import Estimate, mean_interval
 from mapreplay.config import EpisodeConfig, MapKind
 from mapreplay.episode import prepare_episode, run_episode
 from mapreplay.floorplan import FloorPlan
+from mapreplay.mapping import Thresholds
 from mapreplay.predictors import Predictor
 from mapreplay.step import Outcome, Step
 
@@ -65,6 +73,9 @@ class Worth:
     correct: float
     """Correct coverage of the fused map at its end."""
     f1: float
+    counts: PredictionCounts = field(repr=False)
+    """The predictions of what was unobserved on the same walk for every predictor: see
+    `mapreplay.analysis.experiment.curve`."""
 
     @property
     def reduction(self) -> float:
@@ -80,7 +91,8 @@ def measure_worth(
     proposal = EpisodeConfig(planner=planner, predictor=predictor.identity.name, fail_safe=True)
     for plan in plans:
         expected = _last(run_episode(prepare_episode(baseline, plan)))
-        got = _last(run_episode(prepare_episode(proposal, plan, predictor=predictor)))
+        episode = prepare_episode(proposal, plan, predictor=predictor)
+        got = _last(run_episode(episode))
         yield Worth(
             plan.id,
             max(expected.index, 1),
@@ -88,6 +100,7 @@ def measure_worth(
             got.outcome,
             got.metrics.correct_coverage_fused,
             got.metrics.f1,
+            measure_plan(plan, predictor, episode.header.thresholds).counts,
         )
 
 
@@ -97,6 +110,29 @@ def _last(steps: Iterator[Step]) -> Step:
     return deque(steps, maxlen=1)[0]
 
 
-def mean_worth(rows: Iterable[Worth]) -> Estimate:
-    """Mean reduction over the plans, with a 95 % BCa interval."""
-    return mean_interval([row.reduction for row in rows])
+@dataclass(frozen=True)
+class MeanWorth:
+    """Over floor plans, with 95 % BCa bootstrap intervals over them."""
+
+    reduction: Estimate
+    correct: Estimate
+    f1: Estimate
+    ece: Estimate
+    """Of the predictions of unobserved cells, pooled; so are the next two."""
+    log_loss: Estimate
+    decided: Estimate
+    """Share of them that both thresholds take for known."""
+
+
+def mean_worth(rows: Sequence[Worth]) -> MeanWorth:
+    """Means over the floor plans, at least one."""
+    counts, config = [row.counts for row in rows], EpisodeConfig()
+    thresholds = Thresholds(config.delta_free, config.delta_occupied)
+    return MeanWorth(
+        reduction=mean_interval([row.reduction for row in rows]),
+        correct=mean_interval([row.correct for row in rows]),
+        f1=mean_interval([row.f1 for row in rows]),
+        ece=score_interval(counts, lambda c: calibration_scores(c).ece),
+        log_loss=score_interval(counts, lambda c: calibration_scores(c).log_loss),
+        decided=score_interval(counts, lambda c: decided(c, thresholds).share),
+    )

@@ -127,7 +127,7 @@ def measure_plan(plan: FloorPlan, predictor: Predictor, thresholds: Thresholds) 
     """The curve of one floor plan.
 
     Raises:
-        MapreplayError: the predictor predicts nothing, or something impossible.
+        MapreplayError: the predictor predicts something impossible.
     """
     f1 = np.full((len(MAPS), len(OBSERVATIONS)), np.nan)
     counts, made = no_cells(), 0
@@ -138,7 +138,8 @@ def measure_plan(plan: FloorPlan, predictor: Predictor, thresholds: Thresholds) 
             place = OBSERVATIONS.index(made)
             p_wall = _predict(predictor, observed)
             f1[:, place] = _f1(plan, explorable, observed, p_wall, thresholds)
-            counts += count_cells(p_wall, plan.cells, observed, explorable)
+            if p_wall is not None:
+                counts += count_cells(p_wall, plan.cells, observed, explorable)
     after = [n > made for n in OBSERVATIONS]
     p_wall = _predict(predictor, observed)
     f1[:, after] = np.array(_f1(plan, explorable, observed, p_wall, thresholds))[:, None]
@@ -152,11 +153,11 @@ def _walk(plan: FloorPlan) -> tuple[Mask, Iterator[Grid]]:
     return episode.explorable, (step.observed for step in run_episode(episode))
 
 
-def _predict(predictor: Predictor, observed: Grid) -> npt.NDArray[np.uint8]:
+def _predict(predictor: Predictor, observed: Grid) -> npt.NDArray[np.uint8] | None:
     """As it is used and logged: of 8 bits."""
     p_wall = predictor.predict(observed)
     if p_wall is None:
-        raise MapreplayError(f"predictor {predictor.identity.name!r} predicts nothing")
+        return None
     try:
         return mapping.quantize(p_wall, PredictionDtype.UINT8).astype(np.uint8)
     except ValueError as error:
@@ -167,10 +168,17 @@ def _f1(
     plan: FloorPlan,
     explorable: Mask,
     observed: Grid,
-    p_wall: npt.NDArray[np.uint8],
+    p_wall: npt.NDArray[np.uint8] | None,
     thresholds: Thresholds,
 ) -> list[float]:
-    """F1 of each of `MAPS`; unknown cells count as not occupied."""
+    """F1 of each of `MAPS`; unknown cells count as not occupied. NaN of no prediction."""
+
+    def score(cells: Grid) -> float:
+        return scores.score(scores.tally(cells, plan.cells, explorable)).f1
+
+    if p_wall is None:
+        alone = score(observed)
+        return [np.nan, np.nan, alone, alone]
     sure = mapping.threshold(p_wall, thresholds)
     maps = (mapping.raw_classes(p_wall), sure, mapping.overlay(observed, sure), observed)
-    return [scores.score(scores.tally(cells, plan.cells, explorable)).f1 for cells in maps]
+    return [score(cells) for cells in maps]

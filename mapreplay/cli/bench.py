@@ -14,6 +14,7 @@ from mapreplay.cli.output import Format, FormatOption, emit, note
 from mapreplay.errors import FloorPlanError, UsageError
 
 if TYPE_CHECKING:
+    from mapreplay.analysis.benchmark import Worth
     from mapreplay.floorplan import FloorPlan
 
 bench_app = typer.Typer(
@@ -91,11 +92,14 @@ def worth(
     device: Annotated[str, typer.Option(help="cpu, cuda, ...")] = "cpu",
     form: FormatOption = Format.TABLE,
 ) -> None:
-    """Reduction of mapping time: fused/fused with fail-safe against observed/observed Nearest."""
+    """Reduction of mapping time: fused/fused with fail-safe against observed/observed Nearest.
+
+    And how the predictor does on the maps of the latter's walk, the same for every predictor.
+    """
     import polars as pl
 
     from mapreplay.analysis.benchmark import mean_worth, measure_worth
-    from mapreplay.analysis.wording import counted
+    from mapreplay.analysis.wording import counted, percent, with_interval
     from mapreplay.cli.progress import progress_bar
     from mapreplay.predictors import load_predictor
 
@@ -109,13 +113,35 @@ def worth(
                 description=f"{predictor} episodes",
             )
         )
-    frame = pl.DataFrame([asdict(row) | {"reduction": row.reduction} for row in rows])
-    emit(frame, "mapreplay.bench.worth/1", form)
+    emit(pl.DataFrame([_columns(row) for row in rows]), "mapreplay.bench.worth/2", form)
+    if not rows:
+        raise FloorPlanError(f"{floorplans}: no floor plan to measure on")
     mean = mean_worth(rows)
     note(
-        f"reduction {mean.mean:.1%}, 95 % interval {mean.low:.1%} to {mean.high:.1%}, "
-        f"{counted(mean.plans, 'floor plan')}"
+        f"{counted(mean.reduction.plans, 'floor plan')}: reduction {percent(mean.reduction)}, "
+        f"correct coverage {with_interval(mean.correct, 3)}, F1 {with_interval(mean.f1, 3)}"
     )
+    note(
+        f"predictions of unobserved cells: ECE {percent(mean.ece)}, log loss "
+        f"{with_interval(mean.log_loss, 3)} nats, sure of {percent(mean.decided)}"
+    )
+
+
+def _columns(row: Worth) -> dict[str, object]:
+    from mapreplay.analysis.calibration import calibration_scores
+
+    scores = calibration_scores(row.counts)
+    return {
+        "floor_plan": row.floor_plan,
+        "reference_time": row.reference_time,
+        "time": row.time,
+        "reduction": row.reduction,
+        "outcome": row.outcome,
+        "correct": row.correct,
+        "f1": row.f1,
+        "ece": scores.ece,
+        "log_loss": scores.log_loss,
+    }
 
 
 @bench_app.command()
