@@ -9,7 +9,7 @@ demo: .venv/.installed
 	$(BIN)/python samples/demo.py
 
 test: .venv/.installed-dev check
-	$(BIN)/pytest --cov --cov-report=term:skip-covered
+	$(BIN)/pytest --numprocesses auto --dist loadfile --cov --cov-report=term:skip-covered
 
 slow: .venv/.installed-dev
 	$(BIN)/pytest -m slow

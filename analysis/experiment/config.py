@@ -13,7 +13,7 @@ from mapreplay.analysis.experiment.controls import CONTROLS
 from mapreplay.config import EpisodeConfig, MapKind, Share, describe, read_toml
 from mapreplay.errors import ConfigError, FloorPlanError, UsageError
 from mapreplay.floorplan import FloorPlan
-from mapreplay.floorplans import open_source, read_ids, select
+from mapreplay.floorplans import load_each, open_source, read_ids, select
 
 
 class _Table(BaseModel):
@@ -55,10 +55,12 @@ class Dataset(_Table):
                 f"dataset {self.name}: {len(selection.missing)} floor plans are missing, such as "
                 f"{selection.missing[0]}"
             )
-        wanted = set(selection.ids)
-        # An archive is read once in its own order; going back and forth in it takes minutes.
-        loaded = {i: source.load(i) for i in source.ids() if i in wanted}
-        return [loaded[i] for i in selection.ids]
+        plans = []
+        for _, plan in load_each(source, selection.ids):
+            if isinstance(plan, FloorPlanError):
+                raise plan
+            plans.append(plan)
+        return plans
 
 
 class Planning(_Table):

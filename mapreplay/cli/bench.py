@@ -224,17 +224,12 @@ def log(
 
 
 def _plans(spec: str, ids: Path | None, limit: int) -> Iterator[FloorPlan]:
-    from mapreplay.floorplans import open_source, read_ids, select
+    from mapreplay.floorplans import load_each, open_source, read_ids, select
 
     source = open_source(spec)
     wanted = read_ids(ids) if ids else None
-    left = limit
-    for floor_plan_id in select(source, wanted, None).ids:
-        if left == 0:
-            return
-        try:
-            yield source.load(floor_plan_id)
-        except FloorPlanError as error:
-            note(f"refused: {error}")
-            continue
-        left -= 1
+    for _, plan in load_each(source, select(source, wanted, limit).ids):
+        if isinstance(plan, FloorPlanError):
+            note(f"refused: {plan}")
+        else:
+            yield plan

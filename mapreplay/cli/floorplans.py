@@ -39,17 +39,17 @@ def floorplans(
     import polars as pl
 
     from mapreplay.cli.output import write_file
-    from mapreplay.floorplans import open_source, read_ids, select
+    from mapreplay.floorplans import load_each, open_source, read_ids, select
 
     source = open_source(spec, resolution)
     wanted = read_ids(ids) if ids else None
     selection = select(source, wanted, limit)
     plans, refused = [], []
-    for floor_plan_id in selection.ids:
-        try:
-            plans.append(source.load(floor_plan_id))
-        except FloorPlanError as error:
-            refused.append(str(error))
+    for _, plan in load_each(source, selection.ids):
+        if isinstance(plan, FloorPlanError):
+            refused.append(str(plan))
+        else:
+            plans.append(plan)
     if plans:
         frame = pl.DataFrame([_row(plan) for plan in plans])
         text = frame.select(

@@ -180,7 +180,7 @@ def _settings(path: Path | None, given: dict[str, Any]) -> RunConfig:
 
 def _plan_tasks(settings: RunConfig, folder: Path, *, force: bool) -> tuple[list[Task], int]:
     """The episodes to run, and how many floor plans cannot be had."""
-    from mapreplay.floorplans import open_source, read_ids, select
+    from mapreplay.floorplans import load_each, open_source, read_ids, select
     from mapreplay.recorders.batch import Task
 
     source = open_source(settings.floorplans, settings.resolution)
@@ -193,9 +193,10 @@ def _plan_tasks(settings: RunConfig, folder: Path, *, force: bool) -> tuple[list
         )
     tasks, refused = [], 0
     rounds = -(-(settings.episodes or len(selection.ids)) // max(len(selection.ids), 1))
-    for floor_plan_id in selection.ids:
+    for _, floor_plan in load_each(source, selection.ids):
         try:
-            floor_plan = source.load(floor_plan_id)
+            if isinstance(floor_plan, FloorPlanError):
+                raise floor_plan
             floor_plan.check_start(settings.start_cell)
         except FloorPlanError as error:
             note(f"refused: {error}")

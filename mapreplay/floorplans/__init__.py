@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol, cast
@@ -185,3 +185,22 @@ def select(
         ids=tuple(entry for entry in asked if entry in known)[:limit],
         missing=tuple(entry for entry in asked if entry not in known),
     )
+
+
+def load_each(
+    source: FloorPlanSource, ids: Sequence[str]
+) -> Iterator[tuple[str, FloorPlan | FloorPlanError]]:
+    """The floor plans of `ids` in their order, each by its id, or why it was refused.
+
+    They are loaded before the first comes, in the order in which the source has them: to go
+    back and forth in an archive is to read it from its start again and again.
+    """
+    wanted = frozenset(ids)
+    loaded: dict[str, FloorPlan | FloorPlanError] = {}
+    for floor_plan_id in source.ids():
+        if floor_plan_id in wanted:
+            try:
+                loaded[floor_plan_id] = source.load(floor_plan_id)
+            except FloorPlanError as error:
+                loaded[floor_plan_id] = error
+    yield from ((floor_plan_id, loaded[floor_plan_id]) for floor_plan_id in ids)

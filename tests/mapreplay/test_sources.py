@@ -9,7 +9,15 @@ import pytest
 
 from drawing import plan, show
 from mapreplay.errors import FloorPlanError, UsageError
-from mapreplay.floorplans import ENDINGS, Selection, open_source, read_ids, select
+from mapreplay.floorplan import FloorPlan
+from mapreplay.floorplans import (
+    ENDINGS,
+    Selection,
+    load_each,
+    open_source,
+    read_ids,
+    select,
+)
 from mapreplay.floorplans.describe import PlanSummary, describe
 from mapreplay.floorplans.houseexpo import HouseExpoSource
 from mapreplay.floorplans.image import ImageSource
@@ -203,6 +211,28 @@ def test_a_negative_limit_is_refused() -> None:
 
 
 # Plain images --------------------------------------------------------------------------------
+
+
+def test_floor_plans_come_as_they_were_asked_for_and_are_loaded_as_the_source_has_them() -> None:
+    loaded = []
+
+    class Archive:
+        default_predictor = "none"
+
+        def ids(self) -> Sequence[str]:
+            return ["a", "b", "c", "d"]
+
+        def load(self, floor_plan_id: str) -> FloorPlan:
+            loaded.append(floor_plan_id)
+            if floor_plan_id == "b":
+                raise FloorPlanError("house b: not a house")
+            return FloorPlan(floor_plan_id, plan("..").cells, 0.2)
+
+    found = dict(load_each(Archive(), ["d", "b", "a"]))
+    assert list(found) == ["d", "b", "a"]
+    assert loaded == ["a", "b", "d"]
+    assert isinstance(found["b"], FloorPlanError)
+    assert found["d"].id == "d"  # type: ignore[union-attr]
 
 
 def test_a_plain_image(tmp_path: Path) -> None:
