@@ -41,6 +41,9 @@ class ModelCard:
     """Cells that counted in the loss: all, or the explorable ones."""
     init_sha256: str = ""
     """Of the weights that the training started from; empty: random ones."""
+    temperature: float | None = None
+    """What the logits would have to be divided by to fit the held-out plans best; they are not.
+    1 is calibrated. None: not measured."""
     curve: list[dict[str, float]] = field(default_factory=list)
 
     def write(self, path: Path) -> None:

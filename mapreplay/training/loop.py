@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 import torch
+from scipy.optimize import minimize_scalar
 from torch import nn
 from torch.nn import functional
 
@@ -227,6 +228,29 @@ class Trainer:
                 counts += scores.tally(said, truth, region)
         return float(np.average(losses, weights=sizes)), scores.score(counts).f1
 
+    @torch.inference_mode()
+    def temperature(self) -> float:
+        """By what the logits would have to be divided to fit the held-out plans best.
+
+        Temperature scaling (Guo et al. 2017): 1 where the network is as sure as it may be, more
+        where it is too sure. In [1/4, 4].
+        """
+        self.model.eval()
+        logits, walls, weights = [], [], []
+        for batch in self.validation:
+            counted = loss_weights(batch, self.config.loss_region)
+            logits.append(self._logits(batch).cpu().numpy()[counted > 0])
+            walls.append(batch.truth[counted > 0] > 0)
+            weights.append(counted[counted > 0])
+        said, wall = np.concatenate(logits).astype(np.float64), np.concatenate(walls)
+        weight = np.concatenate(weights)
+
+        def loss(exponent: float) -> float:
+            scaled = said / 4**exponent
+            return float((weight * (np.logaddexp(0, scaled) - scaled * wall)).sum())
+
+        return float(4 ** minimize_scalar(loss, bounds=(-1, 1), method="bounded").x)
+
     def start_from(self, weights: Path) -> None:
         """Start from trained weights (`TrainingConfig.init_sha256`) instead of random ones.
 
@@ -321,6 +345,7 @@ def finish(
         train_loss=last.train_loss,
         validation_loss=last.validation_loss,
         validation_f1=last.validation_f1,
+        temperature=round(trainer.temperature(), 4),
         sha256=file_sha256(out),
         command=command,
         curve=[asdict(point) for point in trainer.curve],

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from drawing import draw, plan
 from mapreplay.errors import FloorPlanError, WeightsError
@@ -270,3 +271,17 @@ def test_a_logged_map_is_cut_like_its_floor_plan() -> None:
     assert (item.logged[0] == item.truth).all()
     assert item.truth.shape == (160, 160)
     assert item.runs == 1
+
+
+def test_the_temperature_says_how_much_too_sure_a_network_is(
+    plans: list[TrainingPlan], tmp_path: Path
+) -> None:
+    trainer = train(plans, tmp_path / "a.checkpoint")
+    before = trainer.temperature()
+    head = trainer.model.get_submodule("head")
+    assert isinstance(head, torch.nn.Conv2d)
+    assert head.bias is not None
+    with torch.no_grad():
+        head.weight *= 2
+        head.bias *= 2
+    assert trainer.temperature() == pytest.approx(2 * before, rel=1e-3)
