@@ -8,15 +8,17 @@ from typing import Final, TypeAlias
 
 from mapreplay.analysis.corpus import LoggedEpisode, PairKey, Place
 from mapreplay.analysis.episodes import UNFINISHED
+from mapreplay.analysis.wording import counted
 from mapreplay.config import EpisodeConfig
 from mapreplay.errors import MapreplayError, UsageError
-from mapreplay.step import EpisodeHeader
+from mapreplay.step import Branch, EpisodeHeader
 
 _NOT_COMPARED: Final = {"seed", "start"}
 """Keys of a configuration that make pairs, and not groups."""
 KEYS: Final = (
     *(key for key in EpisodeConfig.model_fields if key not in _NOT_COMPARED),
     "simulator",
+    "branch",
 )
 """What episodes can be compared by."""
 COMBINED: Final = {
@@ -64,12 +66,21 @@ def value_of(header: EpisodeHeader, key: str) -> str:
         return header.predictor.name
     if key == "simulator":
         return header.simulator
+    if key == "branch":
+        return f"branch with {_changes(header.branch)}" if header.branch else "no branch"
     value = getattr(header.config, key)
     if isinstance(value, bool):
         return f"{key.replace('_', '-')} {'on' if value else 'off'}"
     if isinstance(value, float | int) or value is None:
         return f"{key.replace('_', '-')} {'default' if value is None else value}"
     return str(value)
+
+
+def _changes(branch: Branch) -> str:
+    """Of a branch and of those that it was branched from; not at which steps."""
+    before = branch.before.branch
+    earlier = f"{_changes(before)}, then " if before else ""
+    return earlier + ", ".join(branch.changes)
 
 
 def _facts(header: EpisodeHeader) -> dict[str, str]:
@@ -83,7 +94,8 @@ def group_episodes(episodes: Sequence[LoggedEpisode], by: Sequence[str]) -> Grou
     """Group by the values of `by`, and keep apart what else would be mixed in a group.
 
     Episodes that were cut off are left out, and so is the second of two that cannot be told
-    apart. Whatever else differs between the groups is said.
+    apart. So are branches among other episodes, whose first steps they share, unless `by` names
+    "branch". Whatever else differs between the groups is said.
 
     Raises:
         UsageError: there is no such key.
@@ -93,9 +105,14 @@ def group_episodes(episodes: Sequence[LoggedEpisode], by: Sequence[str]) -> Grou
     notes: list[str] = []
     finished = [e for e in episodes if e.row.outcome != UNFINISHED]
     if len(finished) < len(episodes):
-        notes.append(f"{_some(len(episodes) - len(finished), 'unfinished episode')} left out")
+        notes.append(f"{counted(len(episodes) - len(finished), 'unfinished episode')} left out")
     if not finished:
         raise MapreplayError("no finished episode to compare")
+    whole = [e for e in finished if e.header.branch is None]
+    if 0 < len(whole) < len(finished) and "branch" not in by:
+        left_out = counted(len(finished) - len(whole), "branched episode")
+        notes.append(f"{left_out} left out; --by branch compares them")
+        finished = whole
     facts = {id(episode): _facts(episode.header) for episode in finished}
 
     def label(episode: LoggedEpisode, names: Sequence[str]) -> tuple[str, ...]:
@@ -158,10 +175,6 @@ def _without_doubles(
         else:
             seen[episode.key] = episode
     return seen.values()
-
-
-def _some(n: int, noun: str) -> str:
-    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
 
 
 def _list(words: Iterable[str]) -> str:

@@ -252,10 +252,13 @@ class HarmCount:
 
 
 def harm_counts(diagnoses: Sequence[Diagnosis]) -> list[HarmCount]:
-    """Near misses, detours, oscillation and coverage that was wrong at the end."""
+    """Near misses that led to no sealing, detours, oscillation and coverage that was wrong at
+    the end.
+    """
     rows = []
     for kind in NearMissKind:
-        times = [sum(m.kind is kind for m in d.near_misses) for d in diagnoses]
+        missed = [[m.kind for m in d.near_misses if not m.led_to_sealing] for d in diagnoses]
+        times = [kinds.count(kind) for kinds in missed]
         rows.append(_harm(f"near miss: {kind.replace('_', ' ')}", times, [0] * len(times)))
     for harm in HarmKind:
         times = [sum(h.kind is harm for h in d.harms) for d in diagnoses]

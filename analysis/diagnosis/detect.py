@@ -17,7 +17,7 @@ from mapreplay.analysis.diagnosis.reach import (
 )
 from mapreplay.config import MapKind
 from mapreplay.episode import Past
-from mapreplay.grid import UNKNOWN, Cell, Grid
+from mapreplay.grid import UNKNOWN, Cell, Grid, Mask
 from mapreplay.mapping import fuse, overlay
 from mapreplay.step import EpisodeHeader, Mode, Outcome, Step
 
@@ -66,7 +66,7 @@ class NearMissKind(StrEnum):
     more."""
     CLOSING = "closing"
     """The prediction of one of the next `NEXT_STEPS` steps, with what had been observed at
-    this one, leaves no way out."""
+    this one, leaves no way out, although something is hidden and the target is not reached."""
 
 
 @dataclass(frozen=True)
@@ -174,8 +174,9 @@ _ENDINGS: Final = {
 class NearMissDetector:
     """Takes the steps of an episode in order, and whether the agent is sealed in at each."""
 
-    def __init__(self, header: EpisodeHeader, scratch: Scratch) -> None:
+    def __init__(self, header: EpisodeHeader, region: Mask, scratch: Scratch) -> None:
         self._header = header
+        self._region = region
         self._scratch = scratch
         self._recent: deque[tuple[int, Cell, Grid]] = deque(maxlen=NEXT_STEPS)
         self._steps: dict[NearMissKind, dict[int, Cell]] = {kind: {} for kind in NearMissKind}
@@ -190,9 +191,7 @@ class NearMissDetector:
         thresholds = self._header.at(step.index).thresholds
         closing = self._steps[NearMissKind.CLOSING]
         for index, agent, observed in self._recent:
-            if index not in closing and not self._scratch.has_way_out(
-                fuse(observed, step.p_wall, thresholds), agent
-            ):
+            if index not in closing and self._seals(fuse(observed, step.p_wall, thresholds), agent):
                 closing[index] = agent
         if sealed or step.outcome is not None or step.mode is Mode.FAIL_SAFE:
             return
@@ -202,6 +201,15 @@ class NearMissDetector:
             wrong = false_walls(truth, step.observed, step.fused)
             if wrong.any() and has_two_ways_out(set_right(step.fused, wrong, truth), step.agent):
                 self._steps[NearMissKind.ONE_CELL][step.index] = step.agent
+
+    def _seals(self, fused: Grid, agent: Cell) -> bool:
+        """Whether an agent with this map would be sealed in, and not done."""
+        if self._scratch.has_way_out(fused, agent):
+            return False
+        known = float((fused[self._region] != UNKNOWN).mean())
+        if known >= self._header.config.coverage:
+            return False
+        return bool(hidden(self._header.floor_plan.cells, fused, agent).any())
 
     def near_misses(self) -> Iterator[NearMiss]:
         """After the last step: those of each kind, steps in a row together."""

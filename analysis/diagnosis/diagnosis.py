@@ -108,7 +108,7 @@ def diagnose(log: EpisodeLog) -> Diagnosis:
     plan, notes = header.floor_plan, list(_limits(log))
     scratch = Scratch(plan.shape)
     sealing = None if can_be_sealed(header) else SealingDetector(header, scratch)
-    near = NearMissDetector(header, scratch)
+    near = NearMissDetector(header, region, scratch)
     harms, claims = HarmDetector(header, region), ClaimCounter(plan.cells, region)
     width = widths(plan.cells) if plan.has_truth else np.zeros(plan.shape, np.int64)
     walked = np.zeros(int(width.max()) + 1, np.int64)

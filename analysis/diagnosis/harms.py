@@ -18,7 +18,9 @@ from mapreplay.step import Decision, EpisodeHeader, Outcome, Step
 SOON: Final = 20
 """A target that is taken up again within so many steps was given up for nothing."""
 AROUND: Final = 5
-"""Rows and columns around a target in which an observation may have changed what it is worth."""
+"""Rows and columns around a target in which an observation may have changed what it is worth: on
+validation plans 95 % of the rewards that observations changed by more than a tenth had one there
+(`samples/experiments/oscillation_radius.py`)."""
 SAME_PLACE: Final = 2
 """Targets at most so many rows and columns apart are one place."""
 

@@ -21,21 +21,26 @@ def touches_unknown(grid: Any, r: int, c: int) -> bool:
 
 
 @njit(cache=True)
-def way_out(grid: Any, row: int, col: int, seen: Any, mark: int, queue: Any) -> bool:
-    """Whether a cell that touches a -1 can be reached from (row, col) over 0 cells.
+def nearest_edge(
+    grid: Any, row: int, col: int, seen: Any, mark: int, before: Any, queue: Any
+) -> int:
+    """The nearest cell that touches a -1 and can be reached from (row, col) over 0 cells.
 
-    seen: int32[H, W], nowhere `mark` before; queue: int32[H * W], scratch. The nearest such
-    cell ends the search.
+    seen: int32[H, W], nowhere `mark` before; before: int32[H * W], written: the cell from which
+    each seen one was reached, -1 at the start. queue: int32[H * W], scratch. Cells are numbered
+    row * W + col; -1 if there is none.
     """
     height, width = grid.shape
     queue[0] = row * width + col
+    before[queue[0]] = -1
     seen[row, col] = mark
     head, tail = 0, 1
     while head < tail:
-        r, c = queue[head] // width, queue[head] % width
+        cell = queue[head]
+        r, c = cell // width, cell % width
         head += 1
         if touches_unknown(grid, r, c):
-            return True
+            return int(cell)
         for dr in (-1, 0, 1):
             for dc in (-1, 0, 1):
                 nr, nc = r + dr, c + dc
@@ -43,9 +48,10 @@ def way_out(grid: Any, row: int, col: int, seen: Any, mark: int, queue: Any) -> 
                     continue
                 if grid[nr, nc] == 0 and seen[nr, nc] != mark:
                     seen[nr, nc] = mark
+                    before[nr * width + nc] = cell
                     queue[tail] = nr * width + nc
                     tail += 1
-    return False
+    return -1
 
 
 @njit(cache=True)
@@ -146,27 +152,10 @@ def has_two_ways(grid: Any, row: int, col: int) -> bool:
         return True
     size = height * width
     source = row * width + col
-    before = np.full(size, -2, np.int32)
+    before = np.empty(size, np.int32)
     queue = np.empty(2 * size, np.int32)
-    queue[0] = source
-    before[source] = -1
-    head, tail, end = 0, 1, -1
-    while head < tail and end < 0:
-        cell = queue[head]
-        head += 1
-        r, c = cell // width, cell % width
-        for dr in (-1, 0, 1):
-            for dc in (-1, 0, 1):
-                nr, nc = r + dr, c + dc
-                if nr < 0 or nc < 0 or nr >= height or nc >= width or grid[nr, nc] != 0:
-                    continue
-                near = nr * width + nc
-                if before[near] == -2:
-                    before[near] = cell
-                    queue[tail] = near
-                    tail += 1
-                    if end < 0 and touches_unknown(grid, nr, nc):
-                        end = near
+    seen = np.zeros((height, width), np.int32)
+    end = nearest_edge(grid, row, col, seen, 1, before, queue)
     if end < 0:
         return False
     onward = np.full(size, -1, np.int32)  # the next cell of the first path

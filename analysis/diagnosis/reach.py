@@ -6,7 +6,7 @@ import numpy as np
 from scipy import ndimage
 
 from mapreplay import kernels
-from mapreplay.analysis.diagnosis.kernels import has_two_ways, way_out
+from mapreplay.analysis.diagnosis.kernels import has_two_ways, nearest_edge
 from mapreplay.floorplan import explorable
 from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid, Mask
 
@@ -19,6 +19,7 @@ class Scratch:
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self._seen = np.zeros(shape, np.int32)
+        self._before = np.empty(shape[0] * shape[1], np.int32)
         self._queue = np.empty(shape[0] * shape[1], np.int32)
         self._mark = 0
 
@@ -29,7 +30,10 @@ class Scratch:
         neighbours, which is when `mapreplay.planning.frontier` is not empty.
         """
         self._mark += 1
-        return bool(way_out(built, agent.row, agent.col, self._seen, self._mark, self._queue))
+        edge = nearest_edge(
+            built, agent.row, agent.col, self._seen, self._mark, self._before, self._queue
+        )
+        return int(edge) >= 0
 
 
 def has_two_ways_out(built: Grid, agent: Cell) -> bool:

@@ -15,6 +15,7 @@ from mapreplay.analysis.corpus import LoggedEpisode, pair
 from mapreplay.analysis.figures import render
 from mapreplay.analysis.groups import group_episodes
 from mapreplay.errors import MapreplayError, UsageError
+from mapreplay.step import Branch
 
 REFERENCE = [100, 200, 300, 400]
 FASTER = [50, 100, 300, 300]
@@ -72,6 +73,32 @@ def test_only_what_all_groups_have_is_compared_and_the_rest_is_told() -> None:
     assert result.floor_plans == ("plan-0", "plan-1")
     assert "not in all groups, left out of nearest: 2 (plan-2, plan-3)" in result.notes
     assert "not in all groups, left out of cost-utility: 1 (plan-4)" in result.notes
+
+
+def test_branches_are_compared_only_where_that_is_asked_for() -> None:
+    """They share their first steps with their parents, so they are no runs like the others."""
+
+    def branched(parent: LoggedEpisode, time: int, *changes: str) -> LoggedEpisode:
+        header = dataclasses.replace(parent.header, branch=Branch("", 9, changes, parent.header))
+        made = made_up(int(parent.header.floor_plan.id[-1]), time)
+        return dataclasses.replace(made, header=header)
+
+    parents = nearest(REFERENCE)
+    helped = [branched(parents[0], 50, "truth"), branched(parents[1], 60, "truth")]
+    twice = branched(helped[0], 40, "fail-safe=on", "seed=2")
+    among = of([*parents, *helped])
+    assert [(g.name, g.episodes) for g in among.groups] == [("nearest", 4)]
+    assert "2 branched episodes left out; --by branch compares them" in among.notes
+    asked = of([*parents, *helped], "branch")
+    assert [(g.name, g.episodes) for g in asked.groups] == [
+        ("branch with truth", 2),
+        ("no branch", 2),  # on the floor plans that both have
+    ]
+    alone = of([*helped, twice])
+    assert [g.name for g in alone.groups] == [
+        "branch with truth",
+        "branch with truth, then fail-safe=on, seed=2",
+    ]
 
 
 def test_a_floor_plan_of_the_same_name_with_other_cells_is_another() -> None:

@@ -287,14 +287,29 @@ def test_near_miss_one_cell_is_left(tmp_path: Path) -> None:
     assert not near[0].led_to_sealing
 
 
+LEFT_ROOM_OPEN = """
+    #######???????
+    #.....#???????
+    #.....#???????
+    #......???????
+    #.....#???????
+    #.....#???????
+    #######???????
+"""
+
+
 def test_near_miss_the_way_out_closes_behind_the_agent(tmp_path: Path) -> None:
     """The prediction shuts the door when the agent has just seen it open."""
-    rows = LEFT_ROOM.split("\n")
-    rows[4] = rows[4].replace("#.....#", "#......")
-    open_ = "\n".join(rows)
-    log = recorded(tmp_path / "a.mcap", episode(until(open_, 24, LEFT_ROOM)))
+    log = recorded(tmp_path / "a.mcap", episode(until(LEFT_ROOM_OPEN, 24, LEFT_ROOM)))
     found = diagnose(log)
     assert any(miss.kind is NearMissKind.CLOSING for miss in found.near_misses)
+
+
+def test_a_map_that_is_nearly_done_is_no_near_miss(tmp_path: Path) -> None:
+    """The last prediction leaves no frontier because it leaves nothing to be seen."""
+    log = recorded(tmp_path / "a.mcap", episode(until(LEFT_ROOM_OPEN, 30, TWO_ROOMS), coverage=1.0))
+    assert log.outcome is Outcome.MAPPED
+    assert diagnose(log).near_misses == ()
 
 
 def test_a_log_without_a_true_map(tmp_path: Path) -> None:
