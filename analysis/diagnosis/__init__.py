@@ -10,7 +10,7 @@
 `taxonomy`              names for what happened, each with a rule that can be read
 `harms`                 the other ways in which a prediction hurts
 `diagnosis`             all of this for one log
-`corpus`                counted over many
+`corpus`, `frame`       counted over many; one row a sealing
 `paragraph`, `record`,  told to a person, to a program, on a page, in the viewer
 `page`, `marks`
 ======================  ==================================================================

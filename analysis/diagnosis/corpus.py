@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import reduce
 from itertools import pairwise
 from operator import add
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
-import polars as pl
 from scipy import stats
 
 from mapreplay.analysis.diagnosis.claims import Claims
@@ -19,7 +18,10 @@ from mapreplay.analysis.diagnosis.detect import Ending, NearMissKind
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, Sealing
 from mapreplay.analysis.diagnosis.harms import HarmKind
 from mapreplay.analysis.diagnosis.taxonomy import KINDS, UNCLASSIFIED
+from mapreplay.analysis.statistics import Estimate, mean_interval
 
+OUT: Final = frozenset({Ending.SEEN, Ending.PREDICTION, Ending.MAPPED})
+"""Endings of a sealing after which the episode went on, or was done."""
 NARROW: Final = 6
 """A place of at most so many cells' width is narrow: a door, a corridor, a closet."""
 
@@ -80,7 +82,8 @@ def _tenth(value: float, width: float) -> str:
     return f"{low:.2f} to {low + width:.2f}"
 
 
-_BY: Final[dict[str, Callable[[Diagnosis], str]]] = {
+_Key: TypeAlias = Callable[[Diagnosis], str]
+_BY: Final[dict[str, _Key]] = {
     "all": lambda _: "",
     "planner": lambda d: d.header.config.planner,
     "predictor": lambda d: d.header.predictor.name,
@@ -92,14 +95,20 @@ _BY: Final[dict[str, Callable[[Diagnosis], str]]] = {
 
 def groups(diagnoses: Sequence[Diagnosis]) -> list[Group]:
     """The corpus as a whole, and by everything in which its episodes differ."""
-    rows = []
-    for by, key in _BY.items():
+    return [_group(by, value, members) for by, value, members in _grouped(diagnoses, _BY)]
+
+
+def _grouped(
+    diagnoses: Sequence[Diagnosis], by: Iterable[str]
+) -> Iterator[tuple[str, str, list[Diagnosis]]]:
+    """All of them, and those of each value of what they differ in."""
+    for name in by:
         members: dict[str, list[Diagnosis]] = defaultdict(list)
         for diagnosis in diagnoses:
-            members[key(diagnosis)].append(diagnosis)
-        if by == "all" or len(members) > 1:
-            rows += [_group(by, value, members[value]) for value in sorted(members)]
-    return rows
+            members[_BY[name](diagnosis)].append(diagnosis)
+        if name == "all" or len(members) > 1:
+            for value in sorted(members):
+                yield name, value, members[value]
 
 
 def _group(by: str, value: str, members: Sequence[Diagnosis]) -> Group:
@@ -283,6 +292,44 @@ def endings(diagnoses: Sequence[Diagnosis]) -> dict[Ending, tuple[int, float, fl
     return rows
 
 
+@dataclass(frozen=True)
+class Cost:
+    """What it cost to get out again: means over the episodes that were sealed in and always did."""
+
+    by: str
+    value: str
+    """As in `Group`."""
+    episodes: int
+    times: int
+    """Sealings of these."""
+    moves: Estimate
+    """Made while sealed in, of an episode."""
+    metres: Estimate
+    share: Estimate
+    """Of all moves of an episode, 0 to 1."""
+
+
+def costs(diagnoses: Sequence[Diagnosis]) -> list[Cost]:
+    """All, by planner and by predictor; nothing where nobody got out."""
+    out = [d for d in diagnoses if d.sealings and all(s.ending in OUT for s in d.sealings)]
+    return [
+        Cost(
+            by=by,
+            value=value,
+            episodes=len(members),
+            times=sum(len(d.sealings) for d in members),
+            moves=_mean(members, lambda d: sum(s.moves for s in d.sealings)),
+            metres=_mean(members, lambda d: sum(s.metres for s in d.sealings)),
+            share=_mean(members, lambda d: sum(s.moves for s in d.sealings) / (d.steps - 1)),
+        )
+        for by, value, members in _grouped(out, ("all", "planner", "predictor"))
+    ]
+
+
+def _mean(members: Sequence[Diagnosis], value: Callable[[Diagnosis], float]) -> Estimate:
+    return mean_interval(np.array([value(diagnosis) for diagnosis in members], np.float64))
+
+
 def corpus_record(diagnoses: Sequence[Diagnosis]) -> dict[str, Any]:
     """All of it as plain values."""
 
@@ -299,6 +346,7 @@ def corpus_record(diagnoses: Sequence[Diagnosis]) -> dict[str, Any]:
             ending: {"sealings": count, "median_moves": median, "most_moves": most}
             for ending, (count, median, most) in endings(diagnoses).items()
         },
+        "costs": [plain(row) for row in costs(diagnoses)],
     }
 
 
@@ -306,65 +354,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     return None if isinstance(value, float) and value != value else value
-
-
-def sealing_frame(files: Sequence[str], diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
-    """One row a sealing, for CSV and Parquet."""
-    rows = []
-    for file, diagnosis in zip(files, diagnoses, strict=True):
-        config = diagnosis.header.config
-        for s in diagnosis.sealings:
-            view, place, doorway = s.remedy.view, s.place, s.doorway
-            rows.append(
-                {
-                    "file": file,
-                    "floor_plan": diagnosis.header.floor_plan.id,
-                    "planner": config.planner,
-                    "predictor": diagnosis.header.predictor.name,
-                    "delta_occupied": config.delta_occupied,
-                    "delta_free": config.delta_free,
-                    "fail_safe": config.fail_safe,
-                    "kind": s.kind,
-                    "step": s.first_step,
-                    "last_step": s.last_step,
-                    "ending": s.ending.value,
-                    "moves": s.moves,
-                    "coverage": s.coverage,
-                    "correct_coverage": s.correct_coverage,
-                    "inside": s.inside,
-                    "hidden": s.hidden,
-                    "culprits": len(s.culprits.cells) if s.culprits else None,
-                    "tied": len(s.culprits.tied) if s.culprits else None,
-                    "exits": s.culprits.exits if s.culprits else None,
-                    "row": int(s.culprits.cells[0][0]) if s.culprits else None,
-                    "col": int(s.culprits.cells[0][1]) if s.culprits else None,
-                    "doorway": doorway.width if doorway else None,
-                    "doorway_parts": doorway.parts if doorway else None,
-                    "gap": place.gap if place else None,
-                    "gap_length": place.length if place else None,
-                    "false_wall": place.false_wall if place else None,
-                    "distance": place.distance if place else None,
-                    "p_wall": s.blame[0].p_wall if s.blame else None,
-                    "since": s.blame[0].since if s.blame else None,
-                    "flickers": s.blame[0].flickers if s.blame else None,
-                    "delta_occupied_above": s.remedy.delta_occupied_above,
-                    "delta_free_above": s.remedy.delta_free_above,
-                    "view_moves": view.moves if view else None,
-                    "view_suffices": view.suffices if view else None,
-                    "fail_safe_moves": s.remedy.fail_safe_moves,
-                }
-            )
-    return pl.DataFrame(rows, schema=_SCHEMA).fill_nan(None)
-
-
-_TEXT, _INT, _REAL, _BOOL = pl.String, pl.Int64, pl.Float64, pl.Boolean
-_SCHEMA: Final = {
-    "file": _TEXT, "floor_plan": _TEXT, "planner": _TEXT, "predictor": _TEXT,
-    "delta_occupied": _REAL, "delta_free": _REAL, "fail_safe": _BOOL, "kind": _TEXT, "step": _INT,
-    "last_step": _INT, "ending": _TEXT, "moves": _INT, "coverage": _REAL,
-    "correct_coverage": _REAL, "inside": _INT, "hidden": _INT, "culprits": _INT, "tied": _INT,
-    "exits": _INT, "row": _INT, "col": _INT, "doorway": _INT, "doorway_parts": _INT, "gap": _INT,
-    "gap_length": _INT, "false_wall": _INT, "distance": _REAL, "p_wall": _REAL, "since": _INT,
-    "flickers": _INT, "delta_occupied_above": _REAL, "delta_free_above": _REAL,
-    "view_moves": _INT, "view_suffices": _BOOL, "fail_safe_moves": _INT,
-}  # fmt: skip

@@ -9,6 +9,8 @@ import polars as pl
 from mapreplay.analysis.diagnosis import corpus
 from mapreplay.analysis.diagnosis.corpus import Rate
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis
+from mapreplay.analysis.statistics import Estimate
+from mapreplay.analysis.wording import with_interval
 
 
 def groups_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
@@ -63,6 +65,23 @@ def endings_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
                 "most": count(most),
             }
             for ending, (times, median, most) in corpus.endings(diagnoses).items()
+        ]
+    )
+
+
+def costs_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
+    """What it cost to get out again."""
+    return pl.DataFrame(
+        [
+            {
+                "let out again": row.by if row.by == "all" else f"{row.by} {row.value}",
+                "n": row.episodes,
+                "times": row.times,
+                "moves": mean(row.moves, 1),
+                "metres": mean(row.metres, 1),
+                "% of all moves": mean(row.share, 1, 100),
+            }
+            for row in corpus.costs(diagnoses)
         ]
     )
 
@@ -127,6 +146,12 @@ def interval(rate: Rate) -> str:
     return "-" if rate.low != rate.low else f"{100 * rate.low:.1f} to {100 * rate.high:.1f}"
 
 
+def mean(estimate: Estimate, digits: int, scale: float = 1) -> str:
+    """With its 95 % interval: ``10.1 (8.0 to 13.2)``."""
+    scaled = (scale * v for v in (estimate.mean, estimate.low, estimate.high))
+    return with_interval(Estimate(*scaled, estimate.plans), digits)
+
+
 def count(value: float) -> str:
     """A median of whole numbers."""
     return "-" if value != value else f"{value:g}"
@@ -138,6 +163,7 @@ def all_tables(diagnoses: Sequence[Diagnosis]) -> list[tuple[str, pl.DataFrame]]
         ("Sealed in", groups_table(diagnoses)),
         ("Why, and what would have helped (medians)", kinds_table(diagnoses)),
         ("How it ended", endings_table(diagnoses)),
+        ("At which cost: means of an episode, with 95 % intervals", costs_table(diagnoses)),
         (
             "Where: true width of the passage, beside where the agents walked",
             places_table(diagnoses),

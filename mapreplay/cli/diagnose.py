@@ -50,7 +50,8 @@ def diagnose(
     detours and wrong coverage. One log gets a paragraph, many get tables.
     """
     form = _form(form, output)
-    from mapreplay.analysis.diagnosis.corpus import corpus_claims, sealing_frame
+    from mapreplay.analysis.diagnosis.corpus import corpus_claims
+    from mapreplay.analysis.diagnosis.frame import sealing_frame
 
     diagnoses, lost = _diagnose(paths, where)
     if not diagnoses:

@@ -16,9 +16,10 @@ from beliefs import belief
 from drawing import draw
 from mapreplay.analysis.diagnosis.blame import trace_blame
 from mapreplay.analysis.diagnosis.claims import Claims
-from mapreplay.analysis.diagnosis.corpus import groups, kind_counts, rate, sealing_frame
+from mapreplay.analysis.diagnosis.corpus import costs, groups, kind_counts, rate
 from mapreplay.analysis.diagnosis.detect import Ending, NearMissKind, runs
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, diagnose
+from mapreplay.analysis.diagnosis.frame import sealing_frame
 from mapreplay.analysis.diagnosis.harms import HarmDetector, HarmKind
 from mapreplay.analysis.diagnosis.marks import marks_of
 from mapreplay.analysis.diagnosis.page import diagnosis_page
@@ -447,7 +448,20 @@ def test_counts_over_a_corpus(diagnosis: Diagnosis) -> None:
     assert [row.kind for row in kind_counts([diagnosis])] == ["closed_door"]
     frame = sealing_frame(["a"], [diagnosis])
     assert frame["kind"].to_list() == ["closed_door"]
-    assert all(len(table) for _, table in all_tables([diagnosis]))
+    empty = [title for title, table in all_tables([diagnosis]) if not len(table)]
+    assert empty == ["At which cost: means of an episode, with 95 % intervals"]
+
+
+def test_what_it_cost_to_get_out(diagnosis: Diagnosis, tmp_path: Path) -> None:
+    """Only whoever got out every time is counted."""
+    freed = diagnose(recorded(tmp_path / "a.mcap", episode(always(LEFT_ROOM), fail_safe=True)))
+    (cost,) = costs([diagnosis, freed, freed])
+    (sealing,) = freed.sealings
+    assert (cost.by, cost.episodes, cost.times) == ("all", 2, 2)
+    assert cost.moves.mean == sealing.moves
+    assert cost.metres.mean == sealing.metres
+    assert cost.share.mean == sealing.moves / (freed.steps - 1)
+    assert costs([diagnosis]) == []
 
 
 def test_an_interval_is_wilsons() -> None:
