@@ -148,8 +148,8 @@ def interval(rate: Rate) -> str:
 
 def mean(estimate: Estimate, digits: int, scale: float = 1) -> str:
     """With its 95 % interval: ``10.1 (8.0 to 13.2)``."""
-    scaled = (scale * v for v in (estimate.mean, estimate.low, estimate.high))
-    return with_interval(Estimate(*scaled, estimate.plans), digits)
+    mean, low, high = (scale * v for v in (estimate.mean, estimate.low, estimate.high))
+    return with_interval(Estimate(mean, low, high, estimate.plans), digits)
 
 
 def count(value: float) -> str:
