@@ -121,7 +121,7 @@ class GroupResult:
     success: Proportion
     """Floor plans that were mapped in every run, within the common budget."""
     values: Mapping[str, Values]
-    """Of each of `MEASURES`."""
+    """Of each measure."""
     times: Values
     """Mapping times, `NEVER` where a run of the floor plan did not get there."""
     estimates: Mapping[str, Estimate]
@@ -170,6 +170,8 @@ class Comparison:
     groups: tuple[GroupResult, ...]
     effects: tuple[Effect, ...]
     savings: tuple[Saving, ...]
+    measures: tuple[Measure, ...]
+    """What is compared."""
     all_alike: TestResult | None
     """Friedman's test of the mapping times, with three groups or more."""
     notes: tuple[str, ...]
@@ -189,6 +191,7 @@ def compare(
     budget: int | None = None,
     target: float | None = None,
     test: str = "sign-flip",
+    measures: Sequence[Measure] = MEASURES,
 ) -> Comparison:
     """Compare groups on the floor plans and starts that all of them have.
 
@@ -199,6 +202,7 @@ def compare(
         budget: steps; by default the least that the groups had on a floor plan.
         target: coverage; by default the least that was asked for.
         test: "sign-flip" or "wilcoxon".
+        measures: what is compared; the mapping time is the first.
 
     Raises:
         UsageError: there is no such group or test, or a budget or target makes no sense.
@@ -219,10 +223,10 @@ def compare(
     terms = Terms(_target(used, target, notes), budget)
     budgets = [_budget(used, place, terms, notes) for place in shared]
     notes += _seeds(used)
-    results = [_result(name, runs, terms, budgets) for name, runs in used.items()]
+    results = [_result(name, runs, terms, budgets, measures) for name, runs in used.items()]
     reference = next(r for r in results if r.name == chosen)
     others = [r for r in results if r is not reference]
-    effects, savings = _effects(reference, others, TESTS[test])
+    effects, savings = _effects(reference, others, TESTS[test], measures)
     notes += _limits(len(shared), results, effects)
     return Comparison(
         by=grouping.by,
@@ -234,6 +238,7 @@ def compare(
         groups=(reference, *others),
         effects=tuple(effects),
         savings=tuple(savings),
+        measures=tuple(measures),
         all_alike=friedman([r.values[TIME] for r in results]) if len(results) > 2 else None,
         notes=tuple(dict.fromkeys(notes)),
         episodes=used,
@@ -312,10 +317,16 @@ def _seeds(used: Mapping[str, _Runs]) -> list[str]:
     return [f"the groups have other seeds ({counts}): runs of a floor plan are averaged first"]
 
 
-def _result(name: str, runs: _Runs, terms: Terms, budgets: Sequence[int]) -> GroupResult:
+def _result(
+    name: str,
+    runs: _Runs,
+    terms: Terms,
+    budgets: Sequence[int],
+    measures: Sequence[Measure],
+) -> GroupResult:
     episodes = [(p, e, b) for (p, es), b in zip(runs.items(), budgets, strict=True) for e in es]
     values = {}
-    for measure in MEASURES:
+    for measure in measures:
         averaged = average_runs((p, measure.of(e, terms, b)) for p, e, b in episodes)
         values[measure.name] = np.array([averaged[p] for p in runs], np.float64)
     reached = average_runs(
@@ -338,11 +349,12 @@ def _effects(
     reference: GroupResult,
     others: Sequence[GroupResult],
     test: Callable[[Values], TestResult],
+    measures: Sequence[Measure],
 ) -> tuple[list[Effect], list[Saving]]:
     """All groups against the baseline, with one correction for all p-values."""
     plain, matched, both_mapped = [], [], []
     for group in others:
-        for measure in MEASURES:
+        for measure in measures:
             a, b = group.values[measure.name], reference.values[measure.name]
             plain.append((group.name, measure.name, paired_difference(a, b), test(a - b)))
         matched.append(mcnemar(list(group.times < NEVER), list(reference.times < NEVER)))

@@ -10,10 +10,8 @@ import numpy as np
 
 from mapreplay.analysis import page
 from mapreplay.analysis.comparison import (
-    MEASURES,
     TIME,
     Comparison,
-    Effect,
     GroupResult,
     Saving,
 )
@@ -76,7 +74,7 @@ def comparison_page(comparison: Comparison) -> page.Page:
                 "Mean paired differences over floor plans with 95 % BCa bootstrap intervals; p by "
                 f"the {comparison.effects[0].test.name} test, and corrected for all tests (Holm)."
             ),
-            _effects_table(comparison.effects),
+            _effects_table(comparison),
             *(page.Paragraph(_success(s, comparison)) for s in comparison.savings),
         ]
     for saving in comparison.savings[:MOST_GROUPS]:
@@ -117,13 +115,13 @@ def _figure(draw: Draw, height: float, alt: str, caption: str) -> page.Picture:
 
 
 def _groups_table(comparison: Comparison) -> page.Table:
-    head = ["group", "runs", *dict(comparison.groups[0].outcomes), *_measure_names()]
+    head = ["group", "runs", *dict(comparison.groups[0].outcomes), *_measure_names(comparison)]
     rows: list[list[page.Value]] = [
         [
             group.name,
             group.episodes,
             *dict(group.outcomes).values(),
-            *(with_interval(group.estimates[m.name], m.digits) for m in MEASURES),
+            *(with_interval(group.estimates[m.name], m.digits) for m in comparison.measures),
         ]
         for group in comparison.groups
     ]
@@ -131,16 +129,16 @@ def _groups_table(comparison: Comparison) -> page.Table:
         [name.replace("_", " ") for name in head],
         rows,
         "Means over floor plans with 95 % intervals; the mapping time is restricted to the budget.",
-        right=range(5, 5 + len(MEASURES)),
+        right=range(5, 5 + len(comparison.measures)),
     )
 
 
-def _measure_names() -> list[str]:
-    return [f"{m.name}, {m.unit}" if m.unit != "1" else m.name for m in MEASURES]
+def _measure_names(comparison: Comparison) -> list[str]:
+    return [f"{m.name}, {m.unit}" if m.unit != "1" else m.name for m in comparison.measures]
 
 
-def _effects_table(effects: tuple[Effect, ...]) -> page.Table:
-    digits = {measure.name: measure.digits for measure in MEASURES}
+def _effects_table(comparison: Comparison) -> page.Table:
+    digits = {measure.name: measure.digits for measure in comparison.measures}
     rows: list[list[page.Value]] = [
         [
             effect.group,
@@ -150,7 +148,7 @@ def _effects_table(effects: tuple[Effect, ...]) -> page.Table:
             p_value(effect.test.p),
             p_value(effect.p_holm),
         ]
-        for effect in effects
+        for effect in comparison.effects
     ]
     head = ["group", "measure", "difference", "floor plans", "p", "p (Holm)"]
     return page.Table(head, rows, right=[2, 4, 5])

@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mapreplay.cli.output import Format, FormatOption, emit, note
+from mapreplay.cli.output import (
+    LOST,
+    ForceOption,
+    Format,
+    FormatOption,
+    OutputOption,
+    emit,
+    note,
+    write_file,
+)
 from mapreplay.errors import FloorPlanError, UsageError
 
 if TYPE_CHECKING:
@@ -145,6 +154,73 @@ def _columns(row: Worth) -> dict[str, object]:
 
 
 @bench_app.command()
+def limits(
+    floorplans: SpecOption = "procedural:50000-50049",
+    ids: IdsOption = None,
+    limit: Annotated[int, typer.Option(min=1, help="At most so many floor plans.")] = 50,
+    predictor: Annotated[
+        list[str] | None,
+        typer.Option(help="Also who knows what this one would say; can be repeated."),
+    ] = None,
+    infill: Annotated[
+        list[int] | None,
+        typer.Option(min=1, help="Also what is right within so many cells; can be repeated."),
+    ] = None,
+    target: Annotated[float, typer.Option(help="Coverage, above 0 and at most 1.")] = 0.98,
+    delta_free: Annotated[float, typer.Option(min=0, max=1)] = 0.93,
+    delta_occupied: Annotated[float, typer.Option(min=0, max=1)] = 0.95,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+    markdown: Annotated[
+        Path | None, typer.Option(help="Write the table into this file, in Markdown.")
+    ] = None,
+    form: FormatOption = Format.TABLE,
+    output: OutputOption = None,
+    force: ForceOption = False,
+) -> None:
+    """What can be had at all: tours that know the floor plan, and proved lower bounds.
+
+    Mapping times and their reduction against observed/observed Nearest Frontier. What was found
+    is kept in the cache, so that a stopped run goes on.
+    """
+    if not 0 < target <= 1:
+        raise UsageError(f"--target {target}: should be above 0 and at most 1")
+    from mapreplay.analysis.limits.measure import (
+        Question,
+        limits_frame,
+        limits_markdown,
+        limits_summary,
+        measure_limits,
+    )
+    from mapreplay.cli.progress import progress_bar
+    from mapreplay.mapping import Thresholds
+    from mapreplay.predictors import load_predictor
+
+    for name in predictor or ():
+        load_predictor(name)  # what is wrong is said before hours of work
+    thresholds = Thresholds(delta_free, delta_occupied)
+    question = Question(target, thresholds, tuple(predictor or ()), tuple(infill or ()))
+    plans = _in_their_order(floorplans, ids, limit)
+    rows, failed = [], 0
+    with progress_bar() as bar:
+        found = measure_limits(plans, question, jobs)
+        for result in bar.track(found, len(plans), description="floor plans"):
+            if isinstance(result, list):
+                rows += result
+            else:
+                note(f"left out: {result}")
+                failed += 1
+    if not rows:
+        raise FloorPlanError(f"{floorplans}: no floor plan to measure on")
+    if markdown is not None:
+        write_file(markdown, limits_markdown(rows).encode(), force=force)
+        note(f"written: {markdown}")
+    emit(limits_frame(rows), "mapreplay.bench.limits/1", form, output, text=limits_summary(rows),
+         force=force)  # fmt: skip
+    if failed:
+        raise typer.Exit(LOST)
+
+
+@bench_app.command()
 def predict(
     predictor: Annotated[str, typer.Option(help="d1, d2, or a .safetensors file.")] = "d1",
     size: Annotated[int, typer.Option(min=8, help="Cells a side, a multiple of 8.")] = 64,
@@ -233,3 +309,29 @@ def _plans(spec: str, ids: Path | None, limit: int) -> Iterator[FloorPlan]:
             note(f"refused: {plan}")
         else:
             yield plan
+    left = limit
+    for floor_plan_id in select(source, wanted, None).ids:
+        if left == 0:
+            return
+        try:
+            yield source.load(floor_plan_id)
+        except FloorPlanError as error:
+            note(f"refused: {error}")
+            continue
+        left -= 1
+
+
+def _in_their_order(spec: str, ids: Path | None, limit: int) -> list[FloorPlan]:
+    """The first `limit` floor plans, in the order in which the source reads them fastest."""
+    from mapreplay.floorplans import open_source, read_ids, select
+
+    source = open_source(spec)
+    chosen = frozenset(select(source, read_ids(ids) if ids else None, limit).ids)
+    plans = []
+    for floor_plan_id in source.ids():
+        if floor_plan_id in chosen:
+            try:
+                plans.append(source.load(floor_plan_id))
+            except FloorPlanError as error:
+                note(f"refused: {error}")
+    return plans

@@ -25,11 +25,21 @@ from mapreplay.errors import UsageError
 if TYPE_CHECKING:
     import polars as pl
 
-    from mapreplay.analysis.comparison import Comparison, Effect
+    from mapreplay.analysis.comparison import Comparison, Effect, Measure
+    from mapreplay.analysis.corpus import LoggedEpisode
 
 
 GROUP_WIDTH: Final = 20
 """Columns of a group's name in a table."""
+SHORT: Final = {
+    "mapping time": "time",
+    "path to target": "path m",
+    "F1": "F1",
+    "correct coverage": "correct",
+    "coverage area": "area",
+    "regret": "regret",
+}
+"""What a measure is called above a column."""
 
 
 def compare(
@@ -52,6 +62,14 @@ def compare(
         int | None, typer.Option(help="Steps that all may take (default: as it was run).")
     ] = None,
     test: Annotated[str, typer.Option(help="sign-flip or wilcoxon.")] = "sign-flip",
+    regret: Annotated[
+        bool,
+        typer.Option(
+            "--regret",
+            help="Also how much longer it took than a planner that knows the floor plan: about a "
+            "second a floor plan, once.",
+        ),
+    ] = False,
     plot: Annotated[
         Path | None, typer.Option(help="Draw the figures into this .png or .svg.")
     ] = None,
@@ -79,7 +97,10 @@ def compare(
     if not episodes:
         return
     grouping = group_episodes(episodes, by or ["planner"])
-    result = of.compare(grouping, baseline, budget=budget, target=target, test=test)
+    measures = [*of.MEASURES, *([_regret(episodes, target)] if regret else [])]
+    result = of.compare(
+        grouping, baseline, budget=budget, target=target, test=test, measures=measures
+    )
     if plot is not None:
         from mapreplay.analysis.comparison_figures import Overview
         from mapreplay.analysis.figures import render
@@ -98,19 +119,34 @@ def compare(
         raise typer.Exit(LOST)
 
 
+def _regret(episodes: list[LoggedEpisode], target: float | None) -> Measure:
+    """The measure, after the references were found, with a bar."""
+    from mapreplay.analysis.limits.regret import REGRET, reference_times
+    from mapreplay.cli.progress import progress_bar
+
+    target = target or min(episode.header.config.coverage for episode in episodes)
+    count = len({episode.place for episode in episodes})
+    with progress_bar() as bar:
+        for _ in bar.track(reference_times(episodes, target), count, description="references"):
+            pass
+    return REGRET
+
+
 def _text(result: Comparison) -> list[str | Command | pl.DataFrame]:
     import polars as pl
 
+    from mapreplay.analysis.comparison import MEASURES
     from mapreplay.analysis.wording import counted, p_value, percent
 
     plans = len(result.places)
+    more = sum(1 + len(SHORT[m.name]) for m in result.measures if m not in MEASURES)
     by = ", ".join(result.by)
     shown: list[str | Command | pl.DataFrame] = [
         f"Groups by {by}: {len(result.groups)}. Floor plans: {plans}. Target: {result.target}.",
         pl.DataFrame(
             {
                 "group": [
-                    textwrap.fill(group.name, GROUP_WIDTH, break_on_hyphens=False)
+                    textwrap.fill(group.name, GROUP_WIDTH - more, break_on_hyphens=False)
                     for group in result.groups
                 ],
                 "runs": [group.episodes for group in result.groups],
@@ -119,15 +155,12 @@ def _text(result: Comparison) -> list[str | Command | pl.DataFrame]:
                     for outcome in dict(result.groups[0].outcomes)
                 },
                 **{
-                    short: [group.estimates[measure].mean for group in result.groups]
-                    for short, measure in (
-                        ("time", "mapping time"), ("path m", "path to target"), ("F1", "F1"),
-                        ("correct", "correct coverage"), ("area", "coverage area"),
-                    )
+                    SHORT[m.name]: [group.estimates[m.name].mean for group in result.groups]
+                    for m in result.measures
                 },
             }
         ).with_columns(pl.col(pl.Float64).fill_nan(None)),
-    ]  # fmt: skip
+    ]
     for saving in result.savings:
         effects = [effect for effect in result.effects if effect.group == saving.group]
         both = saving.both

@@ -1,0 +1,1 @@
+"""Limits: what no planner can be faster than, and what one that knows the floor plan needs."""

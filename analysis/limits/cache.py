@@ -1,0 +1,57 @@
+"""What was found out about a floor plan is kept: it depends on nothing but its key."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Callable
+from contextlib import suppress
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Final
+
+from mapreplay.analysis.store import cache_folder
+
+_CODE: Final = {
+    "mapreplay": ("floorplan.py", "kernels.py", "mapping.py", "sensor.py"),
+    "mapreplay.analysis.limits": (
+        "bound.py",
+        "bound_kernels.py",
+        "kernels.py",
+        "predicted.py",
+        "task.py",
+        "tour.py",
+    ),
+}
+"""What the numbers depend on beside the key."""
+
+
+def remembered(key: tuple[object, ...], compute: Callable[[], int]) -> int:
+    """The number of that key, from ``mapreplay/limits`` in the user's cache folder if it is there.
+
+    The key is anything that its repr tells apart. A cache that cannot be written does not matter.
+    """
+    digest = hashlib.sha256(_code_digest() + repr(key).encode()).hexdigest()
+    path = cache_folder().parent / "limits" / digest[:2] / f"{digest}.json"
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        return int(json.loads(path.read_text(encoding="utf-8"))["moves"])
+    moves = compute()
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, part = tempfile.mkstemp(dir=path.parent, suffix=".part")
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            json.dump({"moves": moves}, file)
+        Path(part).replace(path)
+    return moves
+
+
+@cache
+def _code_digest() -> bytes:
+    digest = hashlib.sha256()
+    for package, names in _CODE.items():
+        for name in names:
+            digest.update(resources.files(package).joinpath(name).read_bytes())
+    return digest.digest()

@@ -1,0 +1,271 @@
+"""The limits of floor plans: how fast the baseline is, one who knows the plan, and who may be."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+import polars as pl
+
+from mapreplay import kernels as simulator
+from mapreplay import mapping
+from mapreplay.analysis.experiment.markdown import number, percent, table
+from mapreplay.analysis.limits.bound import lower_bound
+from mapreplay.analysis.limits.cache import remembered
+from mapreplay.analysis.limits.predicted import Known, predicted_tour
+from mapreplay.analysis.limits.task import Ints, Task, task_of
+from mapreplay.analysis.limits.tour import short_tour
+from mapreplay.analysis.pool import map_unordered
+from mapreplay.analysis.statistics import Estimate, mean_interval, paired_reduction
+from mapreplay.config import EpisodeConfig, MapKind
+from mapreplay.episode import prepare_episode, run_episode
+from mapreplay.errors import MapreplayError
+from mapreplay.floorplan import FloorPlan
+from mapreplay.grid import UNKNOWN, Cell, Grid
+from mapreplay.mapping import PredictionDtype, Thresholds
+from mapreplay.predictors import Predictor, load_predictor
+from mapreplay.sensor import Sensor
+
+
+class Limit(StrEnum):
+    """What is said of a floor plan and what counts as known."""
+
+    NEAREST = "nearest"
+    """Mapping time of Nearest Frontier on observed/observed, which knows nothing."""
+    TOUR = "tour"
+    """Of a short tour of a planner that knows the floor plan: it can be done."""
+    BOUND = "bound"
+    """Moves that are proved to be needed: it cannot be done faster."""
+
+
+LIMITS: Final = {
+    Limit.NEAREST: "Nearest Frontier, knows nothing",
+    Limit.TOUR: "a tour that knows the floor plan",
+    Limit.BOUND: "proved lower bound",
+}
+OBSERVED: Final = "observed"
+"""Only what was observed counts as known."""
+INFILL: Final = "infill-"
+"""And what lies within so many cells of it (chessboard distance)."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is to be known of floor plans."""
+
+    target: float = 0.98
+    thresholds: Thresholds = Thresholds()
+    predictors: tuple[str, ...] = ()
+    """Names or files, see `mapreplay.predictors.load_predictor`."""
+    infill: tuple[int, ...] = ()
+    """Radii of in-fill oracles."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A number of moves on one floor plan."""
+
+    floor_plan: str
+    known: str
+    """`OBSERVED`, the name of a predictor, or `INFILL` and a radius."""
+    limit: Limit
+    moves: int
+    nearest: int
+    """Of Nearest Frontier on observed/observed, at least 1."""
+
+    @property
+    def reduction(self) -> float:
+        """1 - moves / nearest."""
+        return 1 - self.moves / self.nearest
+
+
+def limits_of(floor_plan: FloorPlan, question: Question) -> list[Row]:
+    """The limits of a floor plan from its default start.
+
+    Raises:
+        FloorPlanError: it is too large, or its true map is not known.
+        PluginError, WeightsError: a predictor cannot be loaded.
+    """
+    target, sha256 = question.target, floor_plan.sha256
+    start = floor_plan.check_start(None)
+    nearest = max(1, remembered(("nearest", sha256, target), lambda: _nearest(floor_plan, target)))
+    found = [(OBSERVED, Limit.NEAREST, nearest)]
+
+    def tour_and_bound(known: str, within: int) -> None:
+        task = lru_cache(maxsize=1)(lambda: task_of(floor_plan, start, target, within=within))
+        key = (sha256, target, within)
+        tour = remembered(("tour", *key), lambda: short_tour(task()).moves)
+        bound = remembered(("bound", *key), lambda: lower_bound(task()))
+        found.extend([(known, Limit.TOUR, tour), (known, Limit.BOUND, bound)])
+
+    tour_and_bound(OBSERVED, 0)
+    for name in question.predictors:
+        predictor = _predictor(name)
+        moves = _with_predictor(floor_plan, question, predictor)
+        found.append((predictor.identity.name, Limit.TOUR, moves))
+    for radius in question.infill:
+        tour_and_bound(f"{INFILL}{radius}", radius)
+    return [Row(floor_plan.id, known, limit, moves, nearest) for known, limit, moves in found]
+
+
+def reference_moves(floor_plan: FloorPlan, start: Cell, target: float, sensor: Sensor) -> int:
+    """Mapping time of the reference of `regret`: a short tour that observes enough.
+
+    Raises:
+        FloorPlanError: the floor plan is too large, or its true map is not known.
+    """
+    key = ("reference", floor_plan.sha256, tuple(start), target, sensor)
+    return remembered(key, lambda: short_tour(task_of(floor_plan, start, target, sensor)).moves)
+
+
+def _nearest(floor_plan: FloorPlan, target: float) -> int:
+    config = EpisodeConfig(
+        planner="nearest", plan_on=MapKind.OBSERVED, build=MapKind.OBSERVED, coverage=target
+    )
+    return deque(run_episode(prepare_episode(config, floor_plan)), maxlen=1)[0].index
+
+
+@lru_cache(maxsize=4)
+def _predictor(name: str) -> Predictor:
+    return load_predictor(name)
+
+
+def _with_predictor(floor_plan: FloorPlan, question: Question, predictor: Predictor) -> int:
+    def compute() -> int:
+        task = task_of(floor_plan, target=question.target)
+        ask = fused_knowledge(floor_plan, task, predictor, question.thresholds)
+        return predicted_tour(task, ask, short_tour(task)).moves
+
+    identity = predictor.identity
+    if not identity.sha256:  # nobody can tell whether it is the same one next time
+        return compute()
+    key = (floor_plan.sha256, question.target, question.thresholds, identity)
+    return remembered(("predicted", *key), compute)
+
+
+def fused_knowledge(
+    floor_plan: FloorPlan, task: Task, predictor: Predictor, thresholds: Thresholds
+) -> Callable[[Ints], Known]:
+    """What the fused map knows after looking from some places: for `predicted.predicted_tour`."""
+    offsets = Sensor().offsets
+    hits = np.empty(len(offsets), np.int16)
+
+    def ask(places: Ints) -> Known:
+        observed: Grid = np.full(floor_plan.shape, UNKNOWN, np.int8)
+        for row, col in task.places[places].tolist():
+            simulator.cast_rays(floor_plan.cells, row, col, offsets, hits)
+            simulator.mark_rays(observed, row, col, offsets, hits)
+        raw = predictor.predict(observed)
+        quantized = None if raw is None else mapping.quantize(raw, PredictionDtype.UINT8)
+        fused = mapping.fuse(observed, quantized, thresholds)
+        return np.asarray(fused[task.cells[:, 0], task.cells[:, 1]] != UNKNOWN)
+
+    return ask
+
+
+def measure_limits(
+    floor_plans: Sequence[FloorPlan], question: Question, jobs: int = 1
+) -> Iterator[list[Row] | MapreplayError]:
+    """The limits of each floor plan, as they are done; an error is a result, too."""
+    return map_unordered(_measured, [(plan, question) for plan in floor_plans], jobs)
+
+
+def _measured(work: tuple[FloorPlan, Question]) -> list[Row] | MapreplayError:
+    try:
+        return limits_of(*work)
+    except MapreplayError as error:
+        return error
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A limit over floor plans."""
+
+    known: str
+    limit: Limit
+    moves: Estimate
+    reduction: Estimate
+    """Against Nearest Frontier on observed/observed: mean of 1 - T / T_nearest."""
+
+
+def summarize(rows: Iterable[Row]) -> list[Summary]:
+    """Means over floor plans with 95 % intervals, in order of appearance."""
+    groups: dict[tuple[str, Limit], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row.known, row.limit), []).append(row)
+    return [
+        Summary(
+            known,
+            limit,
+            mean_interval([row.moves for row in group]),
+            paired_reduction([row.moves for row in group], [row.nearest for row in group]),
+        )
+        for (known, limit), group in groups.items()
+    ]
+
+
+def limits_summary(rows: Sequence[Row]) -> pl.DataFrame:
+    """The means as a table for 80 columns; reductions in percent."""
+    return pl.DataFrame(
+        [
+            {
+                "known": s.known,
+                "limit": s.limit.value,
+                "moves": s.moves.mean,
+                "from": s.moves.low,
+                "to": s.moves.high,
+                "saved, %": 100 * s.reduction.mean,
+                "from, %": 100 * s.reduction.low,
+                "to, %": 100 * s.reduction.high,
+                "plans": s.moves.plans,
+            }
+            for s in summarize(rows)
+        ]
+    ).with_columns(pl.col(pl.Float64).fill_nan(None))
+
+
+def limits_markdown(rows: Sequence[Row]) -> str:
+    """The means as a table in Markdown."""
+    lines = [
+        [s.known, LIMITS[s.limit], number(s.moves), percent(s.reduction), str(s.moves.plans)]
+        for s in summarize(rows)
+    ]
+    head = ["counts as known", "limit", "moves", "reduction, %", "plans"]
+    return table(head, lines) + "\n"
+
+
+def limits_frame(rows: Sequence[Row]) -> pl.DataFrame:
+    """All numbers as one table: of ("mean" or "plan"), floor_plan, known, limit, moves, reduction,
+    with intervals of the means, and plans.
+    """
+    means = [
+        {
+            "of": "mean", "floor_plan": None, "known": s.known, "limit": s.limit.value,
+            "moves": s.moves.mean, "moves_low": s.moves.low, "moves_high": s.moves.high,
+            "reduction": s.reduction.mean, "reduction_low": s.reduction.low,
+            "reduction_high": s.reduction.high, "plans": s.moves.plans,
+        }
+        for s in summarize(rows)
+    ]  # fmt: skip
+    each = [
+        {
+            "of": "plan", "floor_plan": row.floor_plan, "known": row.known,
+            "limit": row.limit.value, "moves": float(row.moves), "reduction": row.reduction,
+            "plans": 1,
+        }
+        for row in rows
+    ]  # fmt: skip
+    schema = {
+        "of": pl.String, "floor_plan": pl.String, "known": pl.String, "limit": pl.String,
+        "moves": pl.Float64, "moves_low": pl.Float64, "moves_high": pl.Float64,
+        "reduction": pl.Float64, "reduction_low": pl.Float64, "reduction_high": pl.Float64,
+        "plans": pl.Int64,
+    }  # fmt: skip
+    return pl.DataFrame([*means, *each], schema=schema).with_columns(
+        pl.col(pl.Float64).fill_nan(None)
+    )
