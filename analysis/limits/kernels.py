@@ -87,7 +87,7 @@ def distances(moves: Any, sources: Any, limit: int, out: Any, queue: Any) -> Non
 
 
 @njit(cache=True)
-def draw(state: Any, n: int) -> int:
+def draw(state: Any, n: int) -> Any:
     """A number in 0..n-1 (splitmix64, Steele et al. 2014). state: uint64[1], advanced."""
     state[0] += np.uint64(0x9E3779B97F4A7C15)
     z = state[0]

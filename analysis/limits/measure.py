@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Final
 
 import numpy as np
@@ -19,7 +19,7 @@ from mapreplay.analysis.limits.bound import lower_bound
 from mapreplay.analysis.limits.cache import remembered
 from mapreplay.analysis.limits.predicted import Known, predicted_tour
 from mapreplay.analysis.limits.task import Ints, Task, task_of
-from mapreplay.analysis.limits.tour import short_tour
+from mapreplay.analysis.limits.tour import Tour, short_tour
 from mapreplay.analysis.pool import map_unordered
 from mapreplay.analysis.statistics import Estimate, mean_interval, paired_reduction
 from mapreplay.config import EpisodeConfig, MapKind
@@ -96,21 +96,43 @@ def limits_of(floor_plan: FloorPlan, question: Question) -> list[Row]:
     nearest = max(1, remembered(("nearest", sha256, target), lambda: _nearest(floor_plan, target)))
     found = [(OBSERVED, Limit.NEAREST, nearest)]
 
-    def tour_and_bound(known: str, within: int) -> None:
-        task = lru_cache(maxsize=1)(lambda: task_of(floor_plan, start, target, within=within))
+    for within in (0, *question.infill):
+        work = _Work(floor_plan, start, target, within)
+        known = f"{INFILL}{within}" if within else OBSERVED
         key = (sha256, target, within)
-        tour = remembered(("tour", *key), lambda: short_tour(task()).moves)
-        bound = remembered(("bound", *key), lambda: lower_bound(task()))
-        found.extend([(known, Limit.TOUR, tour), (known, Limit.BOUND, bound)])
-
-    tour_and_bound(OBSERVED, 0)
-    for name in question.predictors:
-        predictor = _predictor(name)
-        moves = _with_predictor(floor_plan, question, predictor)
-        found.append((predictor.identity.name, Limit.TOUR, moves))
-    for radius in question.infill:
-        tour_and_bound(f"{INFILL}{radius}", radius)
+        tour = remembered(("tour", *key), work.moves_found)
+        bound = remembered(("bound", *key), work.moves_needed)
+        found += [(known, Limit.TOUR, tour), (known, Limit.BOUND, bound)]
+        if within == 0:
+            for name in question.predictors:
+                predictor = _predictor(name)
+                moves = _with_predictor(work, question.thresholds, predictor)
+                found.append((predictor.identity.name, Limit.TOUR, moves))
     return [Row(floor_plan.id, known, limit, moves, nearest) for known, limit, moves in found]
+
+
+@dataclass(frozen=True, eq=False)
+class _Work:
+    """What takes a while, done when it is first needed."""
+
+    floor_plan: FloorPlan
+    start: Cell
+    target: float
+    within: int
+
+    @cached_property
+    def task(self) -> Task:
+        return task_of(self.floor_plan, self.start, self.target, within=self.within)
+
+    @cached_property
+    def tour(self) -> Tour:
+        return short_tour(self.task)
+
+    def moves_found(self) -> int:
+        return self.tour.moves
+
+    def moves_needed(self) -> int:
+        return lower_bound(self.task)
 
 
 def reference_moves(floor_plan: FloorPlan, start: Cell, target: float, sensor: Sensor) -> int:
@@ -135,17 +157,16 @@ def _predictor(name: str) -> Predictor:
     return load_predictor(name)
 
 
-def _with_predictor(floor_plan: FloorPlan, question: Question, predictor: Predictor) -> int:
+def _with_predictor(work: _Work, thresholds: Thresholds, predictor: Predictor) -> int:
     def compute() -> int:
-        task = task_of(floor_plan, target=question.target)
-        ask = fused_knowledge(floor_plan, task, predictor, question.thresholds)
-        return predicted_tour(task, ask, short_tour(task)).moves
+        ask = fused_knowledge(work.floor_plan, work.task, predictor, thresholds)
+        return predicted_tour(work.task, ask, work.tour).moves
 
     identity = predictor.identity
     if not identity.sha256:  # nobody can tell whether it is the same one next time
         return compute()
-    key = (floor_plan.sha256, question.target, question.thresholds, identity)
-    return remembered(("predicted", *key), compute)
+    key = ("predicted", work.floor_plan.sha256, work.target, thresholds, identity)
+    return remembered(key, compute)
 
 
 def fused_knowledge(

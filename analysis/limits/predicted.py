@@ -29,7 +29,7 @@ Ask: TypeAlias = Callable[[Ints], Known]
 
 CALLS: Final = 400
 """Of the predictor, for one floor plan, at most."""
-TRIALS: Final = 150
+TRIALS: Final = 100
 """Times that stops are taken out."""
 REPAIRS: Final = 4
 """Times that others are put in, before it is given up."""

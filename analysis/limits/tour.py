@@ -19,7 +19,7 @@ from mapreplay.analysis.limits import kernels
 from mapreplay.analysis.limits.task import Ints, Task
 from mapreplay.errors import FloorPlanError
 
-ROUNDS: Final = 400
+ROUNDS: Final = 200
 """Times that stops are taken out and others put in."""
 MAX_PLACES: Final = 30_000
 """Reachable free cells above which no tour is searched for."""

@@ -199,7 +199,7 @@ def limits(
         load_predictor(name)  # what is wrong is said before hours of work
     thresholds = Thresholds(delta_free, delta_occupied)
     question = Question(target, thresholds, tuple(predictor or ()), tuple(infill or ()))
-    plans = _in_their_order(floorplans, ids, limit)
+    plans = list(_plans(floorplans, ids, limit))
     rows, failed = [], 0
     with progress_bar() as bar:
         found = measure_limits(plans, question, jobs)
@@ -309,29 +309,3 @@ def _plans(spec: str, ids: Path | None, limit: int) -> Iterator[FloorPlan]:
             note(f"refused: {plan}")
         else:
             yield plan
-    left = limit
-    for floor_plan_id in select(source, wanted, None).ids:
-        if left == 0:
-            return
-        try:
-            yield source.load(floor_plan_id)
-        except FloorPlanError as error:
-            note(f"refused: {error}")
-            continue
-        left -= 1
-
-
-def _in_their_order(spec: str, ids: Path | None, limit: int) -> list[FloorPlan]:
-    """The first `limit` floor plans, in the order in which the source reads them fastest."""
-    from mapreplay.floorplans import open_source, read_ids, select
-
-    source = open_source(spec)
-    chosen = frozenset(select(source, read_ids(ids) if ids else None, limit).ids)
-    plans = []
-    for floor_plan_id in source.ids():
-        if floor_plan_id in chosen:
-            try:
-                plans.append(source.load(floor_plan_id))
-            except FloorPlanError as error:
-                note(f"refused: {error}")
-    return plans

@@ -93,3 +93,24 @@ def test_one_episode_gets_an_answer(cli: Run, tmp_path: Path) -> None:
     shutil.copy(log, tmp_path)
     (tmp_path / "text.mcap").write_text("hello")
     assert cli("compare", tmp_path).code == 3
+
+
+def test_regret_is_in_every_format(cli: Run, tmp_path: Path) -> None:
+    page = tmp_path / "report.html"
+    arguments = ("compare", SAMPLES, "--where", "floor_plan=procedural-60002", "--regret")
+    shown = cli(*arguments, "--html", page)
+    assert shown.code == 0, shown.err
+    assert "area regret" in shown.out
+    assert max(map(len, shown.out.splitlines())) <= 80
+    assert ">regret<" in page.read_text()
+    rows = json.loads(cli(*arguments, "--format", "json").out)["rows"]
+    regret = {
+        row["group"]: row["value"]
+        for row in rows
+        if row["of"] == "mean" and row["what"] == "regret"
+    }
+    # Both against the same tour: 520 and 104 steps.
+    assert (1 + regret["nearest"]) / (1 + regret["cost-utility"]) == pytest.approx(5)
+    assert regret["nearest"] > 0
+    assert "mean,nearest,regret" in cli(*arguments, "--format", "csv").out
+    assert "regret" not in cli(*arguments[:-1]).out
