@@ -78,3 +78,8 @@ def d1(device: str) -> TrainedPredictor:
 def d2(device: str) -> TrainedPredictor:
     """The predictor trained on HouseExpo."""
     return load_network(WEIGHTS / "d2.safetensors", device, "d2")
+
+
+def d2_unet(device: str) -> TrainedPredictor:
+    """The U-Net trained on HouseExpo, and on what agents observed there."""
+    return load_network(WEIGHTS / "d2-unet.safetensors", device, "d2-unet")

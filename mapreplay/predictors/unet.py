@@ -20,12 +20,15 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 WIDTHS: Final = (32, 48, 64, 96, 96)
 """Channels of the levels, at 1/2, 1/4, ... 1/32 of the map's size."""
 
+CERTAIN: Final = 12.0
+"""Logit of a cell that was observed to be a wall."""
+
 
 class UNet(nn.Module):
     """One-hot maps float[B, 3, H, W] (occupied, free, unknown) to logits float[B, 1, H, W].
 
     H and W are multiples of 2. Cells outside of the floor plan's grid (`network.OUTSIDE`) are 0
-    in all three channels: where the grid ends is known.
+    in all three channels: where the grid ends is known. What was observed stays as it is.
     """
 
     def __init__(self) -> None:
@@ -58,8 +61,9 @@ class UNet(nn.Module):
             doubled = functional.interpolate(hidden, scale_factor=2.0)
             doubled = doubled[:, :, : skip.shape[2], : skip.shape[3]]  # a level of odd size
             hidden = level(torch.cat([doubled, skip], dim=1))
-        logits: Tensor = functional.pixel_shuffle(self.head(hidden), 2)
-        return logits
+        logits = functional.pixel_shuffle(self.head(hidden), 2)
+        seen = one_hot[:, :1] - one_hot[:, 1:2]
+        return torch.where(seen == 0, logits, seen * CERTAIN)
 
 
 def fused(model: nn.Module) -> nn.Module:

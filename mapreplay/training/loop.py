@@ -200,7 +200,8 @@ class Trainer:
             self._logits(batch), (truth > 0).float(), reduction="none"
         )
         counted = torch.from_numpy(loss_weights(batch, self.config.loss_region)).to(self.device)
-        return (loss * counted).sum() / counted.sum()
+        # A map of which everything was seen has no cell that counts.
+        return (loss * counted).sum() / counted.sum().clamp(min=1e-6)
 
     def _curve_point(self) -> CurvePoint:
         state = self.state

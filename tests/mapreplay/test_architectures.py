@@ -8,7 +8,8 @@ import torch
 
 from drawing import draw
 from mapreplay.errors import WeightsError
-from mapreplay.grid import UNKNOWN
+from mapreplay.grid import FREE, OCCUPIED, UNKNOWN
+from mapreplay.mapping import PredictionDtype, quantize
 from mapreplay.predictors import load_predictor
 from mapreplay.predictors.architectures import ARCHITECTURES, UNET, Architecture, notes_of
 from mapreplay.predictors.network import one_hot
@@ -84,9 +85,22 @@ def test_the_unet_sees_all_of_a_floor_plan_and_where_its_grid_ends() -> None:
     torch.manual_seed(4)
     model = UNET.build().double().eval()
     maps = torch.rand(1, 3, 64, 64, dtype=torch.float64, requires_grad=True)
+    maps.data[0, :, 63, 63] = 0  # not observed
     torch.autograd.backward(model(maps)[0, 0, 63, 63])
     assert maps.grad is not None
     assert maps.grad[0, :, 0, 0].abs().sum() > 0
     predictor, unknown = random_predictor(UNET), np.full((64, 64), UNKNOWN, np.int8)
     smaller = predictor.predict(unknown[:, :60])
     assert (smaller != predictor.predict(unknown)[:, :60]).any()
+
+
+def test_the_unet_leaves_what_was_observed_as_it_is() -> None:
+    observed = draw("""
+        ##??
+        .#??
+        ..??
+    """)
+    p_wall = random_predictor(UNET).predict(observed)
+    assert (quantize(p_wall, PredictionDtype.UINT8)[observed == OCCUPIED] == 255).all()
+    assert (quantize(p_wall, PredictionDtype.UINT8)[observed == FREE] == 0).all()
+    assert (np.abs(p_wall[observed == UNKNOWN] - 0.5) < 0.4).all()

@@ -285,3 +285,14 @@ def test_the_temperature_says_how_much_too_sure_a_network_is(
         head.weight *= 2
         head.bias *= 2
     assert trainer.temperature() == pytest.approx(2 * before, rel=1e-3)
+
+
+def test_a_map_of_which_everything_was_seen_does_no_harm(
+    plans: list[TrainingPlan], tmp_path: Path
+) -> None:
+    seen = [TrainingPlan(i, p.truth, p.explorable, (p.truth,)) for i, p in enumerate(plans[:2])]
+    config = TrainingConfig(samples=4, batch=1, loss_region=LossRegion.NEARBY)
+    trainer = Trainer(seen, plans[10:], config, "cpu", tmp_path / "a.checkpoint")
+    points = [point for point in trainer.run() if not isinstance(point, int)]
+    assert np.isfinite(points[-1].validation_loss)
+    assert all(value.isfinite().all() for value in trainer.model.state_dict().values())
