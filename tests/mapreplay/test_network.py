@@ -109,7 +109,7 @@ def test_an_impossible_device_is_refused(model: MapPredictor, tmp_path: Path) ->
         load_network(path, "abacus")
 
 
-@pytest.mark.parametrize("name", ["d1", "d2"])
+@pytest.mark.parametrize("name", ["d1", "d2", "d2-unet"])
 def test_the_shipped_weights_load_and_are_small(name: str) -> None:
     predictor = load_predictor(name)
     assert predictor.identity.name == name
@@ -119,5 +119,7 @@ def test_the_shipped_weights_load_and_are_small(name: str) -> None:
 
 
 def test_an_unknown_predictor_is_named() -> None:
-    with pytest.raises(MapreplayError, match="unknown predictor 'd9'; known: d1, d2, none, or"):
+    with pytest.raises(
+        MapreplayError, match="unknown predictor 'd9'; known: d1, d2, d2-unet, none, or"
+    ):
         load_predictor("d9")
