@@ -234,6 +234,7 @@ class View:
 
     mode: Mode
     plan_map: Grid
+    build_map: Grid
     paths: Paths
     frontier: Cells
 
@@ -246,19 +247,19 @@ def look_around(config: EpisodeConfig, agent: Cell, observed: Grid, fused: Grid)
     plans on observations until the frontier is back.
     """
     maps = {MapKind.OBSERVED: observed, MapKind.FUSED: fused}
-    plan_map = maps[config.plan_on]
+    plan_map, build_map = maps[config.plan_on], maps[config.build]
     paths = shortest_paths(plan_map, agent)
-    cells = frontier(paths, maps[config.build])
+    cells = frontier(paths, build_map)
     if len(cells):
-        return View(Mode.NORMAL, plan_map, paths, cells)
+        return View(Mode.NORMAL, plan_map, build_map, paths, cells)
     if config.plan_on is MapKind.OBSERVED:
-        return View(Mode.NORMAL, plan_map, paths, frontier(paths, observed))
+        return View(Mode.NORMAL, plan_map, observed, paths, frontier(paths, observed))
     if config.fail_safe and config.build is MapKind.FUSED:
         paths = shortest_paths(observed, agent)
         cells = frontier(paths, observed)
         if len(cells):
-            return View(Mode.FAIL_SAFE, observed, paths, cells)
-    return View(Mode.NORMAL, plan_map, paths, cells)
+            return View(Mode.FAIL_SAFE, observed, observed, paths, cells)
+    return View(Mode.NORMAL, plan_map, build_map, paths, cells)
 
 
 def outcome_of(
@@ -316,6 +317,7 @@ def ask(
         Situation(
             agent=past.agent,
             plan_map=view.plan_map,
+            build_map=view.build_map,
             observed=observed,
             prediction=p_wall if on_fused else None,
             frontier=view.frontier,

@@ -82,6 +82,8 @@ class Situation:
     agent: Cell
     plan_map: Grid
     """int8[H, W], E: the map that is planned on."""
+    build_map: Grid
+    """int8[H, W], U: the map under construction, whose unknown cells make the frontier."""
     observed: Grid
     """int8[H, W]."""
     prediction: Quantized | None

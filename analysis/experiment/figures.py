@@ -56,7 +56,7 @@ _MAPS: Final[dict[tuple[str, bool], tuple[str, Colour]]] = {
 }
 _PLANNER_NAMES: Final = {
     "random": "Random\nExploration", "nearest": "Nearest\nFrontier",
-    "cost-utility": "Cost-\nUtility",
+    "cost-utility": "Cost-\nUtility", "informative-path": "Informative\nPath",
 }  # fmt: skip
 _CURVES: Final = {
     "raw": ("prediction, p ≥ .5", BLUE),

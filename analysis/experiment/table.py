@@ -26,7 +26,7 @@ from mapreplay.analysis.statistics import (
     reductions,
 )
 
-PLANNERS: Final = ("random", "nearest", "cost-utility")
+PLANNERS: Final = ("random", "nearest", "cost-utility", "informative-path")
 PAPER: Final = {
     ("D1", "nearest"): 0.68, ("D2", "nearest"): 0.55,
     ("D1", "cost-utility"): 0.80, ("D2", "cost-utility"): 0.65,

@@ -31,7 +31,10 @@ def run(
     ] = None,
     ids: Annotated[Path | None, typer.Option(help="File with one floor-plan id a line.")] = None,
     planner: Annotated[
-        str | None, typer.Option(help="random, nearest, cost-utility (default), or a plug-in's.")
+        str | None,
+        typer.Option(
+            help="random, nearest, cost-utility (default), informative-path, or a plug-in's."
+        ),
     ] = None,
     predictor: Annotated[
         str | None,

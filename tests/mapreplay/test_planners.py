@@ -1,4 +1,4 @@
-"""The three planners: what they choose, and how ties are broken."""
+"""The planners: what they choose, and how ties are broken."""
 
 import numpy as np
 import pytest
@@ -23,6 +23,7 @@ def situation(
     return Situation(
         agent=agent,
         plan_map=grid,
+        build_map=grid,
         observed=grid,
         prediction=None,
         frontier=frontier(paths, grid),
@@ -112,7 +113,7 @@ def test_random_draws_uniformly_and_reproducibly() -> None:
     assert 150 < sum(draws(1)) < 250
 
 
-@pytest.mark.parametrize("name", ["random", "nearest", "cost-utility"])
+@pytest.mark.parametrize("name", ["random", "nearest", "cost-utility", "informative-path"])
 def test_built_in_planners_come_through_the_entry_points(name: str) -> None:
     choice = load_planner(name).choose(situation(CORRIDOR))
     assert isinstance(choice, Choice)
@@ -120,5 +121,6 @@ def test_built_in_planners_come_through_the_entry_points(name: str) -> None:
 
 
 def test_an_unknown_planner_is_named_with_those_that_there_are() -> None:
-    with pytest.raises(PluginError, match="unknown planner 'nearby'; known: cost-utility, nearest"):
+    known = "unknown planner 'nearby'; known: cost-utility, informative-path, nearest"
+    with pytest.raises(PluginError, match=known):
         load_planner("nearby")

@@ -191,6 +191,7 @@ def situation(picture: str, observed: Grid | None = None, p_wall: float | None =
     return Situation(
         agent=agent,
         plan_map=plan_map,
+        build_map=plan_map if observed is None else observed,
         observed=plan_map if observed is None else observed,
         prediction=prediction,
         frontier=frontier(paths, plan_map if observed is None else observed),
@@ -238,7 +239,7 @@ def test_each_cell_in_view_counts_once() -> None:
     paths = shortest_paths(grid, Cell(3, 3))
     sensor = Sensor(rays=16, reach=1)
     here = Situation(
-        Cell(3, 3), grid, grid, None, np.array([[3, 3]], np.int32), paths, None,
+        Cell(3, 3), grid, grid, grid, None, np.array([[3, 3]], np.int32), paths, None,
         Draws(1, Purpose.PLANNER), sensor,
     )  # fmt: skip
     assert here.gains().tolist() == [8.0]

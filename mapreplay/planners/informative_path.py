@@ -1,0 +1,62 @@
+"""Informative path: what all of the way is expected to show, per distance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mapreplay.grid import FREE, UNKNOWN
+from mapreplay.mapping import dequantize
+from mapreplay.planners import Choice, best, kernels
+from mapreplay.planning import Float64s, Situation
+
+
+@dataclass(frozen=True)
+class InformativePath:
+    """Goes where the way there is expected to show most of what is missing, per distance.
+
+    utility = gain / (1 + distance). The gain counts the unknown cells of the map under
+    construction, each times P(it is explorable) times P(it is seen), where a ray passes an
+    unknown cell with 1 - P(occupied). It is that of the frontier cell's own view, and for the
+    `ways` best by that, of all views on the shortest path. docs/planners.md has the equations.
+    """
+
+    ways: int = 8
+    """Of how many frontier cells the whole way counts; with 0 only the views at their ends do."""
+
+    def choose(self, situation: Situation) -> Choice:
+        """See `mapreplay.planners.Planner`."""
+        worth, transparency = expectations(situation)
+        frontier, offsets = situation.frontier, situation.sensor.offsets
+        gains = np.empty(len(frontier), np.float64)
+        kernels.view_gains(transparency, worth, frontier, offsets, gains)
+        utility = gains / (1 + situation.costs)
+        first = np.argsort(-utility, kind="stable")[: self.ways]
+        if len(first):
+            along = np.empty(len(first), np.float64)
+            paths = situation.paths
+            kernels.way_gains(
+                transparency, worth, paths.straight, paths.diagonal, frontier[first], offsets, along
+            )
+            gains[first] = along
+            # A way shows at least what its end does, so that none of the others is overrated.
+            utility[first] = along / (1 + situation.costs[first])
+        return Choice(best(utility, situation.costs), utility, gains)
+
+
+def expectations(situation: Situation) -> tuple[Float64s, Float64s]:
+    """What is to be gained by seeing each cell, and how probably a ray passes it.
+
+    Both float64[H, W] in [0, 1]. Where nothing is predicted, unknown cells are taken for free:
+    all are explorable, and transparent, as for Cost-Utility.
+    """
+    plan_map = situation.plan_map
+    if situation.prediction is None:
+        p_wall = np.zeros(plan_map.shape, np.float64)
+    else:
+        p_wall = dequantize(situation.prediction)
+    worth = np.empty(plan_map.shape, np.float64)
+    kernels.explorable_chance(situation.build_map, situation.observed, p_wall, worth)
+    transparency = np.where(plan_map == UNKNOWN, 1 - p_wall, plan_map == FREE)
+    return worth, transparency
