@@ -77,9 +77,9 @@ def costs_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
                 "let out again": row.by if row.by == "all" else f"{row.by} {row.value}",
                 "n": row.episodes,
                 "times": row.times,
-                "moves": mean(row.moves, 1),
+                "moves": mean(row.moves, 0),
                 "metres": mean(row.metres, 1),
-                "% of all moves": mean(row.share, 1, 100),
+                "% of moves": mean(row.share, 0, 100),
             }
             for row in corpus.costs(diagnoses)
         ]
@@ -147,7 +147,7 @@ def interval(rate: Rate) -> str:
 
 
 def mean(estimate: Estimate, digits: int, scale: float = 1) -> str:
-    """With its 95 % interval: ``10.1 (8.0 to 13.2)``."""
+    """With its 95 % interval: ``10 (8 to 13)``."""
     mean, low, high = (scale * v for v in (estimate.mean, estimate.low, estimate.high))
     return with_interval(Estimate(mean, low, high, estimate.plans), digits)
 
