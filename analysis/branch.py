@@ -26,7 +26,7 @@ from mapreplay.errors import UsageError
 from mapreplay.floorplan import explorable
 from mapreplay.grid import FREE, OCCUPIED, Grid, Mask
 from mapreplay.mapping import Thresholds
-from mapreplay.predictors import Predictor, load_predictor
+from mapreplay.predictors import Predictor, choice_of, load_predictor
 from mapreplay.recorders.log import EpisodeLog
 from mapreplay.step import OURS, Branch, EpisodeHeader, PredictorIdentity, Step
 
@@ -76,6 +76,10 @@ class SetRight:
         right[(sure == OCCUPIED) & (self.truth == FREE)] = 0
         right[(sure == FREE) & (self.truth == OCCUPIED)] = 1
         return right
+
+    def choice(self, observed: Grid) -> str | None:
+        """See `mapreplay.predictors.Choosing`."""
+        return choice_of(self.predictor, observed)
 
 
 def is_set_right(header: EpisodeHeader) -> bool:

@@ -24,6 +24,7 @@ from mapreplay.episode import (
     Past,
     Travelled,
     budget,
+    chosen_at,
     decide,
     events_of,
     look_around,
@@ -360,7 +361,8 @@ def _conclude(
         frontier=view.frontier,
         decision=decision,
         metrics=metrics,
-        events=events_of(header, past, metrics, view, outcome),
+        # What was chosen is taken over like the prediction itself.
+        events=events_of(header, past, metrics, view, outcome, chosen_at(logged)),
         outcome=outcome,
         profile=None,
     )

@@ -93,18 +93,22 @@ def what_if(
     f1, coverage, correct = (np.empty(shape, np.float64) for _ in range(3))
     sealed = np.empty(shape, np.bool_)
     reached = np.zeros(shape[1:], np.bool_)
+    # A step without a prediction is one of which no threshold is sure: delta is above 0.
+    nothing, some = np.full(truth.shape, 0.5, np.float32), False
     for k, (maps, (row, col)) in enumerate(
         zip(log.maps("observed", "p_wall"), agents, strict=True)
     ):
-        observed, p_wall = cast("tuple[Grid, Quantized | None]", maps)
-        if p_wall is None:
-            raise LogError(f"{log.path}: step {k} has no prediction to threshold")
+        observed, predicted = cast("tuple[Grid, Quantized | None]", maps)
+        some |= predicted is not None
+        p_wall = nothing if predicted is None else predicted
         free, occupied = grid.levels(p_wall)
         of_step = _scores(observed, p_wall, truth, log.explorable, free, occupied)
         f1[k], coverage[k], correct[k] = of_step
         kernels.sealed_thresholds(p_wall, observed, row, col, free, occupied, sealed[k])
         reached |= coverage[k] >= header.config.coverage
         sealed[k] &= ~reached  # an episode that has reached its target has ended
+    if not some:
+        raise LogError(f"{log.path}: no step has a prediction to threshold")
     return WhatIf(
         grid.delta_free, grid.delta_occupied, header.config.coverage, f1, coverage, correct, sealed
     )

@@ -20,7 +20,7 @@ from mapreplay.grid import FREE, UNKNOWN, Cell, Grid, Mask, Quantized
 from mapreplay.kernels import SQRT2
 from mapreplay.planners import Choice, Planner, load_planner
 from mapreplay.planning import Paths, Situation, frontier, shortest_paths
-from mapreplay.predictors import Predictor, load_predictor
+from mapreplay.predictors import Predictor, choice_of, load_predictor
 from mapreplay.randomness import Draws, Purpose
 from mapreplay.sensor import accumulate, sense
 from mapreplay.step import (
@@ -130,6 +130,8 @@ class Past:
     """The step before was in fail-safe mode."""
     corrected: bool
     """The target of correct coverage was reached before."""
+    choice: str | None = None
+    """What the predictor last said that it chose; see `mapreplay.predictors.Choosing`."""
 
     @classmethod
     def at_start(cls, header: EpisodeHeader) -> Past:
@@ -141,6 +143,7 @@ class Past:
         """Before the step that follows `step`, with the agent moved to `agent`."""
         config = header.config
         right = step.metrics.correct_coverage(config.build)
+        chosen = chosen_at(step)
         return Past(
             index=self.index + 1,
             agent=agent,
@@ -149,7 +152,14 @@ class Past:
             previous_target=step.decision.target if step.decision else None,
             sealed=step.mode is Mode.FAIL_SAFE,
             corrected=self.corrected or right >= config.correct_coverage,
+            choice=self.choice if chosen is None else chosen,
         )
+
+
+def chosen_at(step: Step) -> str | None:
+    """What the predictor said at `step` that it chose; None if nothing new."""
+    said = [event.text for event in step.events if event.kind is EventKind.PREDICTOR]
+    return said[-1] if said else None
 
 
 def run_episode(episode: Episode, past: Past | None = None) -> Iterator[Step]:
@@ -172,6 +182,7 @@ def run_episode(episode: Episode, past: Past | None = None) -> Iterator[Step]:
         same = last if last and np.array_equal(last.observed, observed) else None
         clock.append(perf_counter_ns())
         p_wall = same.p_wall if same else predict(header, episode.predictor, observed)
+        choice = past.choice if same else choice_of(episode.predictor, observed)
         clock.append(perf_counter_ns())
         fused = same.fused if same else mapping.fuse(observed, p_wall, header.thresholds)
         clock.append(perf_counter_ns())
@@ -197,7 +208,7 @@ def run_episode(episode: Episode, past: Past | None = None) -> Iterator[Step]:
             frontier=view.frontier,
             decision=decision,
             metrics=metrics,
-            events=events_of(header, past, metrics, view, outcome),
+            events=events_of(header, past, metrics, view, outcome, choice),
             outcome=outcome,
             profile=StepProfile(*(after - before for before, after in pairwise(clock))),
         )
@@ -277,10 +288,17 @@ def outcome_of(
 
 
 def events_of(
-    header: EpisodeHeader, past: Past, metrics: StepMetrics, view: View, outcome: Outcome | None
+    header: EpisodeHeader,
+    past: Past,
+    metrics: StepMetrics,
+    view: View,
+    outcome: Outcome | None,
+    choice: str | None = None,
 ) -> tuple[Event, ...]:
-    """What is worth a line in the log of a step."""
+    """What is worth a line in the log of a step; `choice`: what the predictor chose for it."""
     config, events = header.config, []
+    if choice is not None and choice != past.choice:
+        events.append(Event(EventKind.PREDICTOR, choice))
     if (view.mode is Mode.FAIL_SAFE or outcome is Outcome.SEALED_IN) and not past.sealed:
         events.append(Event(EventKind.SEALED_IN, "the fused map has no frontier within reach"))
     if past.sealed and view.mode is Mode.NORMAL and outcome is not Outcome.SEALED_IN:

@@ -50,6 +50,8 @@ class EventKind(StrEnum):
     RELEASED = "released"
     TARGET_REACHED = "target_reached"
     CORRECT_REACHED = "correct_reached"
+    PREDICTOR = "predictor"
+    """A predictor that is one of several chose among them, or changed its mind."""
     OUTCOME = "outcome"
 
 

@@ -42,6 +42,7 @@ _EVENT_LEVELS: Final = {
     EventKind.RELEASED: rr.TextLogLevel.INFO,
     EventKind.TARGET_REACHED: rr.TextLogLevel.INFO,
     EventKind.CORRECT_REACHED: rr.TextLogLevel.INFO,
+    EventKind.PREDICTOR: rr.TextLogLevel.INFO,
     EventKind.OUTCOME: rr.TextLogLevel.INFO,
 }
 

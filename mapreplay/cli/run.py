@@ -39,8 +39,8 @@ def run(
     predictor: Annotated[
         str | None,
         typer.Option(
-            help="none, d1, d2, a plug-in's, or a .safetensors file; by default what suits the "
-            "floor plans."
+            help="none, d1, d2, auto (chooses by the map), a plug-in's, or a .safetensors file; by "
+            "default what suits the floor plans."
         ),
     ] = None,
     plan_on: Annotated[

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Protocol, cast
+from typing import Protocol, cast, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +29,23 @@ class Predictor(Protocol):
         always give the same numbers.
         """
         ...
+
+
+@runtime_checkable
+class Choosing(Predictor, Protocol):
+    """A predictor that chooses by the map which one of several predicts."""
+
+    def choice(self, observed: Grid) -> str | None:
+        """A sentence about what is chosen for that map (int8[H, W]); None if nothing is.
+
+        The same map must always give the same sentence; the log says it whenever it changes.
+        """
+        ...
+
+
+def choice_of(predictor: Predictor, observed: Grid) -> str | None:
+    """What `predictor` chooses for that map (int8[H, W]), in a sentence; None if it never does."""
+    return predictor.choice(observed) if isinstance(predictor, Choosing) else None
 
 
 class NoPredictor:

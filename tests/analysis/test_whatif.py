@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from drawing import plan
@@ -14,6 +15,7 @@ from mapreplay.analysis.whatif_figure import HeatMap
 from mapreplay.config import EpisodeConfig
 from mapreplay.episode import look_around, prepare_episode, run_episode
 from mapreplay.errors import LogError, UsageError
+from mapreplay.grid import Grid
 from mapreplay.mapping import Thresholds
 from mapreplay.recorders.log import EpisodeLog
 from mapreplay.recorders.writer import EpisodeWriter
@@ -24,16 +26,25 @@ SEALED = SAMPLES / "procedural-60014__cost-utility__fused-fused__s1.mcap"
 DELTAS = (0.05, 0.2, 0.4, 0.7, 1.0)
 
 
-@pytest.fixture(scope="module", params=["uint8", "uint16", "float32"])
+class Late(FixedPredictor):
+    """Predicts nothing before 31 cells are known."""
+
+    def predict(self, observed: Grid) -> npt.NDArray[np.float32] | None:  # type: ignore[override]
+        return self.p_wall if (observed >= 0).sum() > 30 else None
+
+
+@pytest.fixture(scope="module", params=["uint8", "uint16", "float32", "late"])
 def log(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> EpisodeLog:
     """An episode with random predictions, most of them walls, so that every threshold matters."""
     header = two_rooms().header
-    values = header.config.model_dump() | {"prediction_dtype": request.param, "max_steps": 8}
+    late = request.param == "late"
+    dtype = "uint8" if late else request.param
+    values = header.config.model_dump() | {"prediction_dtype": dtype, "max_steps": 8}
     p_wall = np.random.default_rng(1).random(header.floor_plan.shape) ** 0.3
     episode = prepare_episode(
         EpisodeConfig.of(values),
         header.floor_plan,
-        predictor=FixedPredictor(p_wall.astype(np.float32)),
+        predictor=(Late if late else FixedPredictor)(p_wall.astype(np.float32)),
     )
     path = tmp_path_factory.mktemp("noisy") / "log.mcap"
     with EpisodeWriter(path, episode.header) as writer:
@@ -126,7 +137,7 @@ def test_what_makes_no_sense_is_refused(log: EpisodeLog, tmp_path: Path) -> None
     with pytest.raises(UsageError, match="delta-occupied: a threshold is there twice"):
         what_if(log, [0.5], [0.5, 0.5])
     without = EpisodeLog(record(tmp_path, three_rooms(max_steps=2)).path)
-    with pytest.raises(LogError, match="step 0 has no prediction"):
+    with pytest.raises(LogError, match="no step has a prediction"):
         what_if(without, [0.5], [0.5])
 
 

@@ -91,7 +91,7 @@ TRAIN = "train --floorplans procedural:0 --validate procedural:1 --out x.safeten
     [
         ("fly", 2, "No such command 'fly'."),
         ("run --planner nearby", 2, "unknown planner 'nearby'; known: cost-utility, "),
-        ("run --predictor d7", 2, "unknown predictor 'd7'; known: d1, d2, d2-unet, none, or a"),
+        ("run --predictor d7", 2, "unknown predictor 'd7'; known: auto, d1, d2, d2-unet, none, or"),
         ("run --coverage 1.5", 2, "run: coverage = 1.5: should be less than or equal to 1"),
         ("run --plan-on truth", 2, "run: plan_on = 'truth': should be 'observed' or 'fused'"),
         ("run --start here", 2, "--start here: expected ROW,COL"),

@@ -133,4 +133,4 @@ def test_bad_thresholds_are_one_line(cli: Run, arguments: list[str], line: str) 
 def test_whatif_needs_a_prediction(cli: Run) -> None:
     result = cli("whatif", OBSERVED)
     assert result.code == 1
-    assert "step 0 has no prediction to threshold" in result.err
+    assert "no step has a prediction to threshold" in result.err

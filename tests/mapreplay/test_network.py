@@ -119,7 +119,5 @@ def test_the_shipped_weights_load_and_are_small(name: str) -> None:
 
 
 def test_an_unknown_predictor_is_named() -> None:
-    with pytest.raises(
-        MapreplayError, match="unknown predictor 'd9'; known: d1, d2, d2-unet, none, or"
-    ):
+    with pytest.raises(MapreplayError, match="'d9'; known: auto, d1, d2, d2-unet, none, or a"):
         load_predictor("d9")
