@@ -202,7 +202,7 @@ def choice_table(name: str, runs: Sequence[Run]) -> Iterator[str]:
 def draw(groups: dict[str, list[Run]], path: Path) -> None:
     """The shares over the steps, a panel for each file."""
     figure, _ = plt.subplots(
-        1, len(groups), figsize=(3.4 * len(groups), 2.8), sharey=True, layout="constrained"
+        1, len(groups), figsize=(3.4 * len(groups), 3.0), sharey=True, layout="constrained"
     )
     for panel, (name, runs) in zip(figure.axes, groups.items(), strict=True):
         own = choosing(runs)
@@ -219,7 +219,8 @@ def draw(groups: dict[str, list[Run]], path: Path) -> None:
         panel.set_xscale("symlog", linthresh=10)
         panel.set_xticks([0, 5, 10, 50, 100, 200], ["0", "5", "10", "50", "100", "200"])
     figure.axes[0].set_ylabel("% of runs")
-    figure.axes[-1].legend(loc="lower right", fontsize="small")
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), fontsize="small")
     figure.savefig(path, dpi=130)
 
 
