@@ -21,16 +21,16 @@ from mapreplay.floorplan import FloorPlan
 from mapreplay.grid import FREE, OCCUPIED
 from mapreplay.sensor import Sensor
 
-HOUSES = 40
+HOUSES = 24
 ROOMS = ((1, 3), (2, 2), (2, 3), (3, 3))
-STATES = 100_000
+STATES = 20_000
 
 
 def house(seed: int) -> FloorPlan:
-    """A few rooms of 2 to 5 cells a side, each with a door to the one below and beside it."""
+    """A few rooms of 2 to 4 cells a side, each with a door to the one below and beside it."""
     random = np.random.default_rng(seed)
     rows, cols = ROOMS[seed % len(ROOMS)]
-    heights, widths = random.integers(2, 6, rows), random.integers(2, 6, cols)
+    heights, widths = random.integers(2, 5, rows), random.integers(2, 5, cols)
     tops, lefts = np.cumsum([1, *(heights + 1)]), np.cumsum([1, *(widths + 1)])
     cells = np.full((tops[-1], lefts[-1]), OCCUPIED, np.int8)
     for i, j in product(range(rows), range(cols)):

@@ -24,6 +24,7 @@ from mapreplay.errors import FloorPlanError, UsageError
 
 if TYPE_CHECKING:
     from mapreplay.analysis.benchmark import Worth
+    from mapreplay.analysis.limits.measure import Row
     from mapreplay.floorplan import FloorPlan
 
 bench_app = typer.Typer(
@@ -200,7 +201,8 @@ def limits(
     thresholds = Thresholds(delta_free, delta_occupied)
     question = Question(target, thresholds, tuple(predictor or ()), tuple(infill or ()))
     plans = list(_plans(floorplans, ids, limit))
-    rows, failed = [], 0
+    rows: list[Row] = []
+    failed = 0
     with progress_bar() as bar:
         found = measure_limits(plans, question, jobs)
         for result in bar.track(found, len(plans), description="floor plans"):
@@ -211,6 +213,8 @@ def limits(
                 failed += 1
     if not rows:
         raise FloorPlanError(f"{floorplans}: no floor plan to measure on")
+    order = {plan.id: number for number, plan in enumerate(plans)}
+    rows.sort(key=lambda row: order[row.floor_plan])  # whoever was done first
     if markdown is not None:
         write_file(markdown, limits_markdown(rows).encode(), force=force)
         note(f"written: {markdown}")
