@@ -63,6 +63,10 @@ def train(
     init: Annotated[
         Path | None, typer.Option(help="Weights to start from, instead of random ones.")
     ] = None,
+    calibrate: Annotated[
+        bool,
+        typer.Option("--calibrate", help="At the end, scale the logits to fit the held-out plans."),
+    ] = False,
     validate_every: Annotated[
         int, typer.Option(min=1, help="Samples between points of the curve and checkpoints.")
     ] = 25_000,
@@ -121,6 +125,7 @@ def train(
         init_sha256=file_sha256(init) if init else "",
         architecture=architecture,
         weight_decay=weight_decay,
+        calibrate=calibrate,
         bfloat16=bfloat16,
     )
     wanted: list[str] = []

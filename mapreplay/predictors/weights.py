@@ -42,8 +42,10 @@ class ModelCard:
     init_sha256: str = ""
     """Of the weights that the training started from; empty: random ones."""
     temperature: float | None = None
-    """What the logits would have to be divided by to fit the held-out plans best; they are not.
-    1 is calibrated. None: not measured."""
+    """What the trained network's logits have to be divided by to fit the held-out plans best;
+    more than 1 where it is too sure. None: not measured."""
+    calibrated: bool = False
+    """Whether they were, in its last layer."""
     curve: list[dict[str, float]] = field(default_factory=list)
 
     def write(self, path: Path) -> None:
