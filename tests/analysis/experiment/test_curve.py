@@ -71,12 +71,18 @@ def test_there_and_back(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [tmp_path / "curve-D1.npz"]
 
 
+def test_where_nothing_is_predicted_the_observations_stand_alone() -> None:
+    curve = measure_plan(HOUSE, NoPredictor(), SURE)
+    raw, thresholded, fused, observed = curve.f1
+    assert np.isnan([raw, thresholded]).all()
+    assert np.array_equal(fused, observed)
+    assert curve.counts.cells.sum() == 0
+
+
 def test_bad_files_and_predictors_are_named(tmp_path: Path) -> None:
     path = tmp_path / "curve-D1.npz"
     path.write_bytes(b"nonsense")
     with pytest.raises(MapreplayError, match=r"curve-D1.npz: not the data of a curve"):
         load_curve(path)
-    with pytest.raises(MapreplayError, match="'none' predicts nothing"):
-        measure_plan(HOUSE, NoPredictor(), SURE)
     with pytest.raises(MapreplayError, match=r"'constant': P\(occupied\)"):
         measure_plan(HOUSE, ConstantPredictor(1.5), SURE)
