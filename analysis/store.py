@@ -15,13 +15,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Final
 
 import polars as pl
 
 from mapreplay.analysis.measurements import Scope
+from mapreplay.analysis.user_cache import code_digest
 from mapreplay.errors import LogError
 
 MAX_BYTES: Final = 1 << 30
@@ -124,12 +124,6 @@ class Store:
         return Stored(folder / f"{key}.steps.parquet", folder / f"{key}.episode.parquet")
 
 
-def cache_folder() -> Path:
-    """Where the cache is: ``mapreplay/metrics`` in the user's cache folder."""
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "mapreplay" / "metrics"
-
-
 @contextmanager
 def temporary_store() -> Iterator[Store]:
     """A store that is gone afterwards."""
@@ -139,8 +133,4 @@ def temporary_store() -> Iterator[Store]:
 
 @cache
 def _code_digest() -> bytes:
-    digest = hashlib.sha256()
-    for package, names in _CODE.items():
-        for name in names:
-            digest.update(resources.files(package).joinpath(name).read_bytes())
-    return digest.digest()
+    return code_digest(_CODE)

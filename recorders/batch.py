@@ -10,7 +10,6 @@ import time
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import lru_cache
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -20,7 +19,7 @@ from mapreplay.config import EpisodeConfig
 from mapreplay.episode import prepare_episode, run_episode
 from mapreplay.errors import MapreplayError
 from mapreplay.floorplan import FloorPlan
-from mapreplay.predictors import Predictor, load_predictor
+from mapreplay.predictors import kept_predictor
 from mapreplay.recorders.writer import EpisodeWriter
 from mapreplay.step import log_name
 
@@ -76,7 +75,7 @@ Report: TypeAlias = Progress | Done | Failed
 def record(number: int, task: Task) -> Iterator[Report]:
     """Simulate and record one episode; closing the generator leaves a readable ``.part``."""
     try:
-        predictor = _predictor(task.config.predictor, task.device)
+        predictor = kept_predictor(task.config.predictor, task.device)
         episode = prepare_episode(task.config, task.floor_plan, predictor=predictor)
         path = task.path
         with EpisodeWriter(path, episode.header, profile=task.profile, force=task.force) as writer:
@@ -90,11 +89,6 @@ def record(number: int, task: Task) -> Iterator[Report]:
         yield Done(number, path)
     except MapreplayError as error:
         yield Failed(number, str(error))
-
-
-@lru_cache(maxsize=4)
-def _predictor(name: str, device: str) -> Predictor:
-    return load_predictor(name, device)
 
 
 def record_all(tasks: Sequence[Task], jobs: int) -> Generator[Report, None, None]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import TypeAlias
 
 from mapreplay.analysis.experiment.config import Dataset, ExperimentConfig
@@ -21,7 +20,7 @@ from mapreplay.config import EpisodeConfig, MapKind
 from mapreplay.episode import Episode, prepare_episode, run_episode
 from mapreplay.errors import MapreplayError
 from mapreplay.floorplan import FloorPlan
-from mapreplay.predictors import Predictor, load_predictor
+from mapreplay.predictors import Predictor, kept_predictor
 from mapreplay.step import Mode, Outcome, Step
 
 Identity: TypeAlias = tuple[str, str, str, str, str, bool, int, str, str]
@@ -46,7 +45,7 @@ class Job:
         if name.startswith(INFILL):
             radius = int(name.removeprefix(INFILL))
             return InFill(self.floor_plan, radius, self.wall_share)
-        return _trained(name)
+        return kept_predictor(name)
 
     def identities(self) -> list[Identity]:
         """Those of the rows that this job gives, with the weights that there are now."""
@@ -58,11 +57,6 @@ class Job:
             )
             for fail_safe in ((True, False) if config.fail_safe else (False,))
         ]  # fmt: skip
-
-
-@lru_cache(maxsize=8)
-def _trained(name: str) -> Predictor:
-    return load_predictor(name)
 
 
 def identity(row: Row) -> Identity:

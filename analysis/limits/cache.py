@@ -9,11 +9,10 @@ import tempfile
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Final
 
-from mapreplay.analysis.store import cache_folder
+from mapreplay.analysis.user_cache import cache_folder, code_digest
 
 _CODE: Final = {
     "mapreplay": ("floorplan.py", "kernels.py", "mapping.py", "sensor.py"),
@@ -35,7 +34,7 @@ def remembered(key: tuple[object, ...], compute: Callable[[], int]) -> int:
     The key is anything that its repr tells apart. A cache that cannot be written does not matter.
     """
     digest = hashlib.sha256(_code_digest() + repr(key).encode()).hexdigest()
-    path = cache_folder().parent / "limits" / digest[:2] / f"{digest}.json"
+    path = cache_folder("limits") / digest[:2] / f"{digest}.json"
     with suppress(OSError, ValueError, KeyError, TypeError):
         return int(json.loads(path.read_text(encoding="utf-8"))["moves"])
     moves = compute()
@@ -50,8 +49,4 @@ def remembered(key: tuple[object, ...], compute: Callable[[], int]) -> int:
 
 @cache
 def _code_digest() -> bytes:
-    digest = hashlib.sha256()
-    for package, names in _CODE.items():
-        for name in names:
-            digest.update(resources.files(package).joinpath(name).read_bytes())
-    return digest.digest()
+    return code_digest(_CODE)

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -28,7 +28,7 @@ from mapreplay.errors import MapreplayError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.grid import UNKNOWN, Cell, Grid
 from mapreplay.mapping import PredictionDtype, Thresholds
-from mapreplay.predictors import Predictor, load_predictor
+from mapreplay.predictors import Predictor, kept_predictor
 from mapreplay.sensor import Sensor
 
 
@@ -105,7 +105,7 @@ def limits_of(floor_plan: FloorPlan, question: Question) -> list[Row]:
         found += [(known, Limit.TOUR, tour), (known, Limit.BOUND, bound)]
         if within == 0:
             for name in question.predictors:
-                predictor = _predictor(name)
+                predictor = kept_predictor(name)
                 moves = _with_predictor(work, question.thresholds, predictor)
                 found.append((predictor.identity.name, Limit.TOUR, moves))
     return [Row(floor_plan.id, known, limit, moves, nearest) for known, limit, moves in found]
@@ -150,11 +150,6 @@ def _nearest(floor_plan: FloorPlan, target: float) -> int:
         planner="nearest", plan_on=MapKind.OBSERVED, build=MapKind.OBSERVED, coverage=target
     )
     return deque(run_episode(prepare_episode(config, floor_plan)), maxlen=1)[0].index
-
-
-@lru_cache(maxsize=4)
-def _predictor(name: str) -> Predictor:
-    return load_predictor(name)
 
 
 def _with_predictor(work: _Work, thresholds: Thresholds, predictor: Predictor) -> int:

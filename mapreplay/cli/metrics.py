@@ -121,13 +121,14 @@ def metrics(
 @contextmanager
 def _store(*, no_cache: bool) -> Iterator[Store]:
     """The cache, or where nothing is kept."""
-    from mapreplay.analysis.store import Store, cache_folder, temporary_store
+    from mapreplay.analysis.store import Store, temporary_store
+    from mapreplay.analysis.user_cache import cache_folder
 
     if no_cache:
         with temporary_store() as store:
             yield store
         return
-    store = Store(cache_folder())
+    store = Store(cache_folder("metrics"))
     try:
         store.folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 from typing import Protocol, cast, runtime_checkable
 
@@ -80,3 +81,9 @@ def load_predictor(name: str, device: str = "cpu") -> Predictor:
             raise
         raise PluginError(f"{error}, or a .safetensors file") from None
     return cast("Predictor", factory(device))
+
+
+@lru_cache(maxsize=8)
+def kept_predictor(name: str, device: str = "cpu") -> Predictor:
+    """`load_predictor`, once in a process: for many episodes one after the other."""
+    return load_predictor(name, device)
