@@ -24,6 +24,7 @@ class Purpose(IntEnum):
     PLANNER = 2
     OBSERVATIONS = 3
     SHUFFLE = 4
+    ORIENTATION = 5
 
 
 class Draws:

@@ -5,18 +5,13 @@ from __future__ import annotations
 import hashlib
 import shlex
 import sys
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from mapreplay.cli.output import ForceOption, note
-from mapreplay.errors import FloorPlanError, UsageError
-
-if TYPE_CHECKING:
-    from mapreplay.floorplans import FloorPlanSource
-    from mapreplay.training.dataset import TrainingPlan
+from mapreplay.errors import UsageError
 
 
 def train(
@@ -67,11 +62,19 @@ def train(
         bool,
         typer.Option("--calibrate", help="At the end, scale the logits to fit the held-out plans."),
     ] = False,
+    augment: Annotated[
+        bool, typer.Option("--augment", help="Turn and mirror every batch at random.")
+    ] = False,
     validate_every: Annotated[
         int, typer.Option(min=1, help="Samples between points of the curve and checkpoints.")
     ] = 25_000,
     device: Annotated[str, typer.Option(help="cpu, cuda, ...")] = "cpu",
-    threads: Annotated[int | None, typer.Option(min=1, help="CPU threads.")] = None,
+    threads: Annotated[
+        int | None, typer.Option(min=1, help="CPU threads of the network.")
+    ] = None,
+    jobs: Annotated[
+        int, typer.Option(min=1, help="Processes that load plans and make the batches.")
+    ] = 1,
     bfloat16: Annotated[
         bool, typer.Option("--bfloat16", help="Compute in bfloat16: faster where it is built in.")
     ] = False,
@@ -102,10 +105,12 @@ def train(
     import torch
 
     from mapreplay.cli.progress import progress_bar
+    from mapreplay.cli.training_data import load, load_logs
     from mapreplay.floorplans import open_source, read_ids, select
     from mapreplay.predictors.architectures import ARCHITECTURES
     from mapreplay.predictors.weights import file_sha256, load_tensors
-    from mapreplay.training.loop import CurvePoint, LossRegion, Trainer, TrainingConfig, finish
+    from mapreplay.training.dataset import LossRegion
+    from mapreplay.training.loop import CurvePoint, Trainer, TrainingConfig, finish
 
     if loss_region not in list(LossRegion):
         raise UsageError(f"--loss-region {loss_region}: choose {' or '.join(LossRegion)}")
@@ -127,6 +132,7 @@ def train(
         weight_decay=weight_decay,
         calibrate=calibrate,
         bfloat16=bfloat16,
+        augment=augment,
     )
     wanted: list[str] = []
     if floorplans is not None:
@@ -135,19 +141,21 @@ def train(
     if validate is not None:
         other = open_source(validate, resolution)
         held_ids = list(other.ids())[:validation_plans]
-        held = _load("validation", other, held_ids)
+        held = load("validation", other, held_ids, jobs)
     else:
         held_ids = sorted(wanted, key=lambda i: hashlib.sha256(i.encode()).hexdigest())[:hold_out]
-        held = _load("validation", source, sorted(held_ids[:validation_plans]))
+        held = load("validation", source, sorted(held_ids[:validation_plans]), jobs)
     if not held:
         raise UsageError("nothing to validate on: give --validate or --hold-out")
     apart = frozenset(held_ids)
     plans = []
     if floorplans is not None:
-        plans = _load("training", source, [i for i in wanted if i not in apart])
+        plans = load("training", source, [i for i in wanted if i not in apart], jobs)
     if from_logs:
-        plans += _load_logs(from_logs, apart)
-    trainer = Trainer(plans, held, config, device, checkpoint)
+        logged = load_logs(from_logs, apart, jobs)
+        plans += logged.to_train_on
+        held += logged.to_validate_on
+    trainer = Trainer(plans, held, config, device, checkpoint, jobs)
     if init is not None:
         trainer.start_from(init)
     if resume and checkpoint.exists():
@@ -172,60 +180,6 @@ def train(
     )
     note(f"weights: {out} (sha256 {card.sha256[:12]}), card: {out.with_suffix('.json')}")
     note(f"next: mapreplay run --predictor {out}")
-
-
-def _load(what: str, source: FloorPlanSource, ids: Sequence[str]) -> list[TrainingPlan]:
-    """The plans that can be read, with a progress bar; the others are counted on stderr."""
-    from mapreplay.cli.progress import progress_bar
-    from mapreplay.training.dataset import load_plans
-
-    plans, refused = [], []
-    with progress_bar() as bar:
-        for plan in bar.track(load_plans(ids, source.load), len(ids), description=f"{what} plans"):
-            if isinstance(plan, FloorPlanError):
-                refused.append(str(plan))
-            else:
-                plans.append(plan)
-    if refused:
-        note(f"{len(refused)} {what} plans were refused, such as: {refused[0]}")
-    if not plans and ids:
-        raise FloorPlanError(f"no {what} plan is left ({refused[0]})")
-    return plans
-
-
-def _load_logs(paths: list[Path], apart: frozenset[str]) -> list[TrainingPlan]:
-    """What the agents of logs had observed, without those of the plans `apart`, which validate.
-
-    Raises:
-        LogError: there are none, or none can be read.
-    """
-    from mapreplay.cli.progress import progress_bar
-    from mapreplay.errors import LogError
-    from mapreplay.recorders.log import EpisodeLog
-    from mapreplay.recorders.paths import find_logs
-    from mapreplay.recorders.sampled import observed_maps
-    from mapreplay.training.dataset import MAPS_PER_LOG, prepare_plan
-
-    found = find_logs(paths)
-    plans, left_out = [], 0
-    with progress_bar() as bar:
-        for number, path in enumerate(bar.track(found, len(found), description="logs")):
-            try:
-                log = EpisodeLog(path)
-                plan = log.header.floor_plan
-                if plan.id in apart:
-                    left_out += 1
-                    continue
-                maps = observed_maps(log, MAPS_PER_LOG)
-            except LogError as error:
-                note(f"left out: {error}")
-                continue
-            plans.append(prepare_plan(number, plan, log.header.start, maps))
-    if left_out:
-        note(f"logs left out because their floor plans validate: {left_out}")
-    if not plans:
-        raise LogError("no log is left to train on")
-    return plans
 
 
 def _name(floorplans: str | None, logs: list[Path] | None) -> str:

@@ -37,6 +37,9 @@ class Architecture:
     """With random weights."""
     padding: int
     """What the cells are that are added to a map so that its sides are multiples of 8."""
+    fewest_maps: int
+    """That are trained on at once; one map of 32 x 32 cells is one cell at the U-Net's coarsest
+    level, and nothing to normalize by."""
     on_cpu: Callable[[nn.Module], Engine]
     """Its fastest engine there that gives the same numbers whatever else is computed."""
 
@@ -52,6 +55,7 @@ AUTOENCODER: Final = Architecture(
     "convolutional autoencoder of Zwecher et al. 2022, 9 + 9 layers of 25 kernels",
     MapPredictor,
     UNKNOWN,
+    1,
     _compiled,
 )
 UNET: Final = Architecture(
@@ -59,6 +63,7 @@ UNET: Final = Architecture(
     "U-Net of five levels, from 1/2 to 1/32 of the map's size, with 32 to 96 kernels",
     UNet,
     OUTSIDE,
+    2,
     lambda model: EagerNetwork(fused(model), "cpu"),
 )
 ARCHITECTURES: Final = {each.name: each for each in (AUTOENCODER, UNET)}

@@ -79,7 +79,8 @@ class EagerNetwork:
     @torch.inference_mode()
     def p_wall(self, cells: Grid) -> npt.NDArray[np.float32]:
         """P(occupied) of every cell of int8[H, W] `cells`, H and W multiples of 8."""
-        logits = self._model(one_hot(cells[None]).to(self._device))
+        maps = torch.from_numpy(np.ascontiguousarray(cells[None])).to(self._device)
+        logits = self._model(one_hot(maps))
         return torch.sigmoid(logits[0, 0]).cpu().numpy().astype(np.float32, copy=False)
 
 
@@ -95,8 +96,7 @@ def pad_to_multiple(cells: Grid, padding: int) -> Grid:
     )
 
 
-def one_hot(cells: npt.NDArray[np.int8]) -> Tensor:
+def one_hot(maps: Tensor) -> Tensor:
     """int8[B, H, W] cells to float32[B, 3, H, W], channels last in memory; `OUTSIDE` is 0, 0, 0."""
-    maps = torch.from_numpy(np.ascontiguousarray(cells))
     channels = torch.stack([maps == OCCUPIED, maps == FREE, maps == UNKNOWN], dim=1)
     return channels.to(torch.float32).contiguous(memory_format=torch.channels_last)

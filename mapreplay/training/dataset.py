@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Final
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
 from mapreplay.errors import FloorPlanError
 from mapreplay.floorplan import FloorPlan, explorable
+from mapreplay.floorplans import FloorPlanSource, load_each
 from mapreplay.grid import UNKNOWN, Cell, Grid, Mask
 from mapreplay.predictors.network import STRIDE_MULTIPLE, pad_to_multiple
 from mapreplay.randomness import Draws, Purpose
@@ -26,6 +29,24 @@ MAX_SIDE: Final = 160
 MIN_SIDE: Final = 8
 MAPS_PER_LOG: Final = 24
 """Observed maps of a logged episode that are trained on; neighbouring steps are much alike."""
+
+
+ORIENTATIONS: Final = 8
+"""Ways to turn and mirror a map."""
+
+
+class LossRegion(StrEnum):
+    """Which cells of a map count in the loss."""
+
+    ALL = "all"
+    """The paper's: every cell, also those that no agent could ever see."""
+    EXPLORABLE = "explorable"
+    """Those that coverage counts. So p_wall is the probability of a wall *given that the cell
+    can be mapped at all*: what is confident about it is confident about what is to be mapped."""
+    NEARBY = "nearby"
+    """Those of them that were not observed, with the weight 1 / (1 + d / 4) at a distance of d
+    cells (chessboard) from an observed one: far away there are many and nothing can be told.
+    The weight depends on what the network is given, so that its probabilities are the same."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +83,19 @@ class Batch:
     """int8[B, H, W], padded with unknown, which counts in no loss."""
     explorable: npt.NDArray[np.bool_]
     """bool[B, H, W], False in the padding."""
+    weights: npt.NDArray[np.float32]
+    """float32[B, H, W]: how much each cell counts in the loss, 0 in the padding."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How maps are made into batches."""
+
+    padding: int
+    """What the cells are that are added so that the sides are what the network takes."""
+    loss_region: LossRegion
+    fewest_left_over: int = 1
+    """At the end of an epoch, maps of one shape that are left over and fewer are left out."""
 
 
 def prepare_plan(
@@ -83,17 +117,19 @@ def prepare_plan(
 
 
 def load_plans(
-    ids: Sequence[str], load: Callable[[str], FloorPlan]
+    numbers: Mapping[str, int], source: FloorPlanSource
 ) -> Iterator[TrainingPlan | FloorPlanError]:
-    """Each plan, or why it was refused: one bad house does not end the training."""
-    for number, floor_plan_id in enumerate(ids):
-        try:
-            plan = load(floor_plan_id)
-            if min(plan.shape) < MIN_SIDE:
-                raise FloorPlanError(f"floor plan {plan.id}: under {MIN_SIDE} cells along a side")
-            yield prepare_plan(number, plan)
-        except FloorPlanError as error:
-            yield error
+    """Each plan, or why it was refused: one bad house does not end the training.
+
+    `numbers` says of each id its place in the list of plans.
+    """
+    for floor_plan_id, plan in load_each(source, list(numbers)):
+        if isinstance(plan, FloorPlanError):
+            yield plan
+        elif min(plan.shape) < MIN_SIDE:
+            yield FloorPlanError(f"floor plan {plan.id}: under {MIN_SIDE} cells along a side")
+        else:
+            yield prepare_plan(numbers[floor_plan_id], plan)
 
 
 def padded_shape(plan: TrainingPlan) -> tuple[int, int]:
@@ -103,19 +139,55 @@ def padded_shape(plan: TrainingPlan) -> tuple[int, int]:
 
 
 def make_batch(
-    plans: Sequence[TrainingPlan], runs: Sequence[int], seed: int, padding: int
+    plans: Sequence[TrainingPlan],
+    runs: Sequence[int],
+    seed: int,
+    layout: Layout,
+    orientation: int = 0,
 ) -> Batch:
-    """One observed map of each plan; all plans have one padded shape."""
+    """One observed map of each plan; all plans have one padded shape.
+
+    `orientation` (0 to 7) says how all of them are turned and mirrored; 0 is as they are.
+    """
+
+    def padded(cells: npt.NDArray[np.int8], padding: int) -> npt.NDArray[np.int8]:
+        return pad_to_multiple(turned(cells, orientation), padding)
+
     observed = [plan.observe(run, seed) for plan, run in zip(plans, runs, strict=True)]
-    shape = padded_shape(plans[0])
-    region = np.zeros((len(plans), *shape), np.bool_)
-    for mask, plan in zip(region, plans, strict=True):
-        mask[: plan.truth.shape[0], : plan.truth.shape[1]] = plan.explorable
-    return Batch(
-        np.stack([pad_to_multiple(cells, padding) for cells in observed]),
-        np.stack([pad_to_multiple(plan.truth, UNKNOWN) for plan in plans]),
-        region,
-    )
+    seen = np.stack([padded(cells, layout.padding) for cells in observed])
+    truth = np.stack([padded(plan.truth, UNKNOWN) for plan in plans])
+    region = np.stack([padded(plan.explorable.view(np.int8), 0) for plan in plans]).view(np.bool_)
+    return Batch(seen, truth, region, loss_weights(seen, truth, region, layout.loss_region))
+
+
+def turned(cells: npt.NDArray[np.int8], orientation: int) -> npt.NDArray[np.int8]:
+    """int8[H, W] `cells`, or int8[W, H], in one of the 8 ways to turn and mirror them."""
+    if orientation & 4:
+        cells = cells.T
+    if orientation & 2:
+        cells = cells[::-1]
+    return cells[:, ::-1] if orientation & 1 else cells
+
+
+def loss_weights(
+    observed: npt.NDArray[np.int8],
+    truth: npt.NDArray[np.int8],
+    explorable: npt.NDArray[np.bool_],
+    region: LossRegion,
+) -> npt.NDArray[np.float32]:
+    """float32[B, H, W]: how much each cell of maps [B, H, W] counts in the loss."""
+    match region:
+        case LossRegion.ALL:
+            return np.asarray(truth != UNKNOWN, np.float32)
+        case LossRegion.EXPLORABLE:
+            return np.asarray(explorable, np.float32)
+        case LossRegion.NEARBY:
+            unseen = observed < 0
+            distances = [
+                cv2.distanceTransform(cells, cv2.DIST_C, 3) for cells in unseen.astype(np.uint8)
+            ]
+            near = 1 / (1 + np.stack(distances) / 4)
+            return np.asarray(np.where(explorable & unseen, near, 0), np.float32)
 
 
 @dataclass(frozen=True)
@@ -130,7 +202,9 @@ class Epoch:
     cells_per_batch: int
     seed: int
     number: int
-    padding: int
+    layout: Layout
+    augment: bool = False
+    """Turn and mirror every batch at random."""
 
     def batches(self) -> list[list[tuple[int, int]]]:
         """(index of plan, run) of each batch: the same list for the same seed and number."""
@@ -145,7 +219,8 @@ class Epoch:
             group.append((plan, run))
             if len(group) * shape[0] * shape[1] >= self.cells_per_batch:
                 full.append(waiting.pop(shape))
-        rest = [group for _, group in sorted(waiting.items())]
+        fewest = self.layout.fewest_left_over
+        rest = [group for _, group in sorted(waiting.items()) if len(group) >= fewest]
         positions = Draws(self.seed, Purpose.SHUFFLE, index=self.number, run=1)
         for group in rest:
             full.insert(positions.below(len(full) + 1), group)
@@ -164,9 +239,15 @@ class Epoch:
 
     def batch(self, group: Sequence[tuple[int, int]]) -> Batch:
         """The observed maps of one batch, and their truth."""
+        orientation = 0
+        if self.augment:
+            plan, run = group[0]
+            draws = Draws(self.seed, Purpose.ORIENTATION, index=plan, run=self.number << 16 | run)
+            orientation = draws.below(ORIENTATIONS)
         return make_batch(
             [self.plans[plan] for plan, _ in group],
             [run for _, run in group],
             self.seed,
-            self.padding,
+            self.layout,
+            orientation,
         )

@@ -7,13 +7,10 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
-from enum import StrEnum
 from pathlib import Path
 from typing import Final
 
-import cv2
 import numpy as np
-import numpy.typing as npt
 import torch
 from scipy.optimize import minimize_scalar
 from torch import nn
@@ -21,7 +18,6 @@ from torch.nn import functional
 
 from mapreplay import scores
 from mapreplay.errors import WeightsError
-from mapreplay.grid import UNKNOWN
 from mapreplay.predictors.architectures import (
     ARCHITECTURES,
     AUTOENCODER,
@@ -36,24 +32,19 @@ from mapreplay.predictors.weights import (
     load_tensors,
     save_tensors,
 )
-from mapreplay.training.dataset import Batch, Epoch, TrainingPlan, make_batch, padded_shape
+from mapreplay.training.batches import Place, batches_from
+from mapreplay.training.dataset import (
+    Batch,
+    Epoch,
+    Layout,
+    LossRegion,
+    TrainingPlan,
+    make_batch,
+    padded_shape,
+)
 
 VALIDATION_SEED: Final = 2**63
 """Apart from every training seed, so that no validation observation was trained on."""
-
-
-class LossRegion(StrEnum):
-    """Which cells of a map count in the loss."""
-
-    ALL = "all"
-    """The paper's: every cell, also those that no agent could ever see."""
-    EXPLORABLE = "explorable"
-    """Those that coverage counts. So p_wall is the probability of a wall *given that the cell
-    can be mapped at all*: what is confident about it is confident about what is to be mapped."""
-    NEARBY = "nearby"
-    """Those of them that were not observed, with the weight 1 / (1 + d / 4) at a distance of d
-    cells (chessboard) from an observed one: far away there are many and nothing can be told.
-    The weight depends on what the network is given, so that its probabilities are the same."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +70,8 @@ class TrainingConfig:
     """Divide the last layer by the temperature that fits the held-out plans best."""
     bfloat16: bool = False
     """Compute in bfloat16 where that is allowed: over twice as fast on a CPU with AMX."""
+    augment: bool = False
+    """Turn and mirror every batch at random."""
 
 
 @dataclass(frozen=True)
@@ -103,8 +96,6 @@ class _State:
     epoch: int = 0
     batch: int = 0
     seconds: float = 0.0
-    loss_sum: float = 0.0
-    loss_batches: int = 0
     curve: list[CurvePoint] = field(default_factory=list)
 
 
@@ -118,12 +109,15 @@ class Trainer:
         config: TrainingConfig,
         device: str,
         checkpoint: Path,
+        jobs: int = 1,
     ) -> None:
+        """`jobs` processes make the batches: a GPU waits for one. The result is the same."""
         torch.manual_seed(config.seed)
         self.plans = plans
         self.config = config
         self.device = torch.device(device)
         self.checkpoint = checkpoint
+        self.jobs = jobs
         self.architecture = ARCHITECTURES[config.architecture]
         # torch's own annotations do not know memory_format
         self.model: nn.Module = self.architecture.build().to(  # type: ignore[call-overload]
@@ -132,8 +126,12 @@ class Trainer:
         self.optimizer = torch.optim.AdamW(
             self.model.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
         )
-        self.validation = _validation_batches(validation, config)
+        self._layout = Layout(
+            self.architecture.padding, config.loss_region, self.architecture.fewest_maps
+        )
+        self.validation = _validation_batches(validation, config, self._layout)
         self.state = _State()
+        self._losses: list[torch.Tensor] = []
 
     @property
     def samples(self) -> int:
@@ -151,28 +149,28 @@ class Trainer:
         The checkpoint is written with every point of the curve.
         """
         config, state = self.config, self.state
+        began = time.monotonic()
+        for place, batch in batches_from(self._epoch, Place(state.epoch, state.batch), self.jobs):
+            if state.samples >= config.samples:
+                return
+            self._step(batch)
+            before = state.samples
+            state.samples += len(batch.observed)
+            state.epoch, state.batch = place.epoch, place.batch + 1
+            state.seconds += time.monotonic() - began
+            done = state.samples >= config.samples
+            yield state.samples
+            if done or before // config.validate_every != state.samples // config.validate_every:
+                yield self._curve_point()
+                self.save()
+            if done:
+                return
+            began = time.monotonic()
+
+    def _epoch(self, number: int) -> Epoch:
+        config = self.config
         cells = config.batch * 64 * 64
-        while state.samples < config.samples:
-            epoch = Epoch(self.plans, cells, config.seed, state.epoch, self.architecture.padding)
-            for group in epoch.batches()[state.batch :]:
-                began = time.monotonic()
-                self._step(epoch.batch(group))
-                before = state.samples
-                state.samples += len(group)
-                state.batch += 1
-                state.seconds += time.monotonic() - began
-                done = state.samples >= config.samples
-                yield state.samples
-                if (
-                    done
-                    or before // config.validate_every != state.samples // config.validate_every
-                ):
-                    yield self._curve_point()
-                    self.save()
-                if done:
-                    return
-            state.epoch += 1
-            state.batch = 0
+        return Epoch(self.plans, cells, config.seed, number, self._layout, config.augment)
 
     def _step(self, batch: Batch) -> None:
         self.model.train()
@@ -187,12 +185,12 @@ class Trainer:
         torch.autograd.backward(loss)
         torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
         self.optimizer.step()
-        self.state.loss_sum += loss.item()
-        self.state.loss_batches += 1
+        self._losses.append(loss.detach())  # not read now, for which a GPU would have to wait
 
     def _logits(self, batch: Batch) -> torch.Tensor:
         with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=self.config.bfloat16):
-            logits: torch.Tensor = self.model(one_hot(batch.observed).to(self.device))
+            cells = torch.from_numpy(batch.observed).to(self.device)
+            logits: torch.Tensor = self.model(one_hot(cells))
         return logits[:, 0].float()
 
     def _loss(self, batch: Batch) -> torch.Tensor:
@@ -201,7 +199,7 @@ class Trainer:
         loss = functional.binary_cross_entropy_with_logits(
             self._logits(batch), (truth > 0).float(), reduction="none"
         )
-        counted = torch.from_numpy(loss_weights(batch, self.config.loss_region)).to(self.device)
+        counted = torch.from_numpy(batch.weights).to(self.device)
         # A map of which everything was seen has no cell that counts.
         return (loss * counted).sum() / counted.sum().clamp(min=1e-6)
 
@@ -210,12 +208,12 @@ class Trainer:
         loss = self._validate()
         point = CurvePoint(
             state.samples,
-            state.loss_sum / max(state.loss_batches, 1),
+            torch.stack(self._losses).mean().item(),
             *loss,
             round(state.seconds, 1),
         )
         state.curve.append(point)
-        state.loss_sum, state.loss_batches = 0.0, 0
+        self._losses = []
         return point
 
     @torch.inference_mode()
@@ -241,7 +239,7 @@ class Trainer:
         self.model.eval()
         logits, walls, weights = [], [], []
         for batch in self.validation:
-            counted = loss_weights(batch, self.config.loss_region)
+            counted = batch.weights
             logits.append(self._logits(batch).cpu().numpy()[counted > 0])
             walls.append(batch.truth[counted > 0] > 0)
             weights.append(counted[counted > 0])
@@ -314,22 +312,6 @@ class Trainer:
         self.optimizer.load_state_dict({"state": slots, "param_groups": groups})
 
 
-def loss_weights(batch: Batch, region: LossRegion) -> npt.NDArray[np.float32]:
-    """float32[B, H, W]: how much each cell counts in the loss."""
-    match region:
-        case LossRegion.ALL:
-            return np.asarray(batch.truth != UNKNOWN, np.float32)
-        case LossRegion.EXPLORABLE:
-            return np.asarray(batch.explorable, np.float32)
-        case LossRegion.NEARBY:
-            unseen = batch.observed < 0
-            distances = [
-                cv2.distanceTransform(cells, cv2.DIST_C, 3) for cells in unseen.astype(np.uint8)
-            ]
-            near = 1 / (1 + np.stack(distances) / 4)
-            return np.asarray(np.where(batch.explorable & unseen, near, 0), np.float32)
-
-
 def finish(
     trainer: Trainer, out: Path, *, trained_on: str, validated_on: str, command: str
 ) -> ModelCard:
@@ -368,16 +350,19 @@ def finish(
     return card
 
 
-def _validation_batches(plans: Sequence[TrainingPlan], config: TrainingConfig) -> list[Batch]:
-    """One observation run of each plan, the same at every point of the curve."""
-    by_shape: dict[tuple[int, int], list[TrainingPlan]] = {}
+def _validation_batches(
+    plans: Sequence[TrainingPlan], config: TrainingConfig, layout: Layout
+) -> list[Batch]:
+    """One simulated observation of each plan, or all logged ones; at every point the same."""
+    by_shape: dict[tuple[int, int], list[tuple[TrainingPlan, int]]] = {}
     for plan in plans:
-        by_shape.setdefault(padded_shape(plan), []).append(plan)
-    padding = ARCHITECTURES[config.architecture].padding
+        runs = range(len(plan.logged) or 1)
+        by_shape.setdefault(padded_shape(plan), []).extend((plan, run) for run in runs)
     batches = []
     for (height, width), group in sorted(by_shape.items()):
         size = max(1, config.batch * 64 * 64 // (height * width))
         for i in range(0, len(group), size):
             part = group[i : i + size]
-            batches.append(make_batch(part, [0] * len(part), VALIDATION_SEED, padding))
+            observed_of, runs_of = [plan for plan, _ in part], [run for _, run in part]
+            batches.append(make_batch(observed_of, runs_of, VALIDATION_SEED, layout))
     return batches

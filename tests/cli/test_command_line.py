@@ -354,9 +354,10 @@ def test_train_from_logs_makes_weights_that_run_can_use(cli: Run, tmp_path: Path
     assert ran.code == 0, ran.err
     result = cli("train", "--from-logs", logs, "--floorplans", "procedural:5-9", "--architecture",
                  "unet", "--loss-region", "nearby", "--validate", "procedural:2",
-                 "--samples", "40", "--batch", "8", "--out", out)  # fmt: skip
+                 "--samples", "40", "--batch", "8", "--augment", "--jobs", "2",
+                 "--out", out)  # fmt: skip
     assert result.code == 0, result.err
-    assert "logs left out because their floor plans validate: 1" in result.err
+    assert "logs to validate on, because their floor plans are held out: 1" in result.err
     card = json.loads(out.with_suffix(".json").read_text())
     assert card["trained_on"] == "procedural:5-9, logs logs"
     assert card["plans"] == 5 + 2

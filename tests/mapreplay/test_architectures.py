@@ -72,7 +72,9 @@ def test_normalizations_are_part_of_the_unets_convolutions_when_it_runs() -> Non
     model = UNET.build()
     for _ in range(3):  # so that there is something to normalize by
         model(torch.rand(4, 3, 32, 40))
-    cells = one_hot(np.random.default_rng(3).choice([-1, 0, 100], (1, 32, 40)).astype(np.int8))
+    cells = one_hot(
+        torch.from_numpy(np.random.default_rng(3).choice([-1, 0, 100], (1, 32, 40)).astype(np.int8))
+    )
     before = {name: value.clone() for name, value in model.state_dict().items()}
     with torch.inference_mode():
         expected, faster = model.eval()(cells), fused(model)(cells)

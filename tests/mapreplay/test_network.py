@@ -58,7 +58,7 @@ def test_skips_are_symmetric(model: MapPredictor) -> None:
         torch.nn.init.zeros_(layer.bias)
         layer.register_forward_hook(lambda *a: decoded.append(a[1][0]))
     with torch.no_grad():
-        model(one_hot(np.zeros((1, 16, 24), np.int8)))
+        model(one_hot(torch.zeros((1, 16, 24), dtype=torch.int8)))
     shapes = list(zip(encoded[-2::-1], decoded[1:], strict=True))
     assert len(shapes) == 8
     for mirrored, received in shapes:
@@ -79,9 +79,9 @@ def test_maps_are_padded_with_unknown_at_the_high_ends() -> None:
 
 
 def test_one_hot_is_occupied_vacant_unknown() -> None:
-    channels = one_hot(draw("#.?")[None])
+    channels = one_hot(torch.from_numpy(draw("#.?")[None]))
     assert channels[0, :, 0].tolist() == [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
-    assert one_hot(np.full((1, 1, 1), OUTSIDE, np.int8)).sum() == 0
+    assert one_hot(torch.full((1, 1, 1), OUTSIDE, dtype=torch.int8)).sum() == 0
 
 
 def test_bad_weights_are_refused_in_one_line(model: MapPredictor, tmp_path: Path) -> None:

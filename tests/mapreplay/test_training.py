@@ -1,5 +1,7 @@
 """Training: simulated observations, batches, and a loop that learns, stops and goes on."""
 
+from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -13,20 +15,29 @@ from mapreplay.grid import FREE, UNKNOWN, Cell
 from mapreplay.predictors.architectures import ARCHITECTURES
 from mapreplay.predictors.network import OUTSIDE
 from mapreplay.sensor import Sensor
+from mapreplay.training.batches import Place, batches_from
 from mapreplay.training.dataset import (
+    ORIENTATIONS,
     Epoch,
+    Layout,
+    LossRegion,
     TrainingPlan,
     load_plans,
     make_batch,
     padded_shape,
     prepare_plan,
+    turned,
 )
-from mapreplay.training.loop import LossRegion, Trainer, TrainingConfig, finish, loss_weights
+from mapreplay.training.loop import Trainer, TrainingConfig, finish
 from mapreplay.training.observations import (
     RUNS_PER_PLAN,
     observation_draws,
     simulate_observations,
 )
+
+
+AS_IN_THE_PAPER = Layout(UNKNOWN, LossRegion.ALL)
+NEARBY = Layout(OUTSIDE, LossRegion.NEARBY, fewest_left_over=2)
 
 
 @pytest.fixture(scope="module")
@@ -70,13 +81,13 @@ def test_the_same_run_is_the_same_observation_and_another_run_is_not() -> None:
 def test_an_epoch_has_every_run_of_every_plan_once_and_batches_of_one_size() -> None:
     mixed = [prepare_plan(i, FloorPlan("box", np.pad(np.zeros((6 + i, 9), np.int8), 1,
              constant_values=100), 0.2)) for i in range(10)]  # fmt: skip
-    epoch = Epoch(mixed, cells_per_batch=400, seed=1, number=0, padding=UNKNOWN)
+    epoch = Epoch(mixed, cells_per_batch=400, seed=1, number=0, layout=AS_IN_THE_PAPER)
     groups = epoch.batches()
     assert sorted(pair for group in groups for pair in group) == [
         (p, r) for p in range(10) for r in range(RUNS_PER_PLAN)
     ]
-    assert groups == Epoch(mixed, 400, 1, 0, UNKNOWN).batches()
-    assert groups != Epoch(mixed, 400, 1, 1, UNKNOWN).batches()
+    assert groups == Epoch(mixed, 400, 1, 0, AS_IN_THE_PAPER).batches()
+    assert groups != Epoch(mixed, 400, 1, 1, AS_IN_THE_PAPER).batches()
     for group in groups:
         batch = epoch.batch(group)
         assert batch.observed.shape == batch.truth.shape == batch.explorable.shape
@@ -105,12 +116,18 @@ def test_one_bad_plan_does_not_end_the_loading() -> None:
         ########
     """)
 
-    def load(name: str) -> FloorPlan:
-        if name == "bad":
-            raise FloorPlanError("house bad: not a house")
-        return good if name == "good" else FloorPlan("tiny", draw("."), 1.0)
+    class Houses:
+        default_predictor = ""
 
-    results = list(load_plans(["good", "bad", "tiny", "good"], load))
+        def ids(self) -> Sequence[str]:
+            return ["last", "first", "bad", "tiny"]
+
+        def load(self, floor_plan_id: str) -> FloorPlan:
+            if floor_plan_id == "bad":
+                raise FloorPlanError("house bad: not a house")
+            return FloorPlan("tiny", draw("."), 1.0) if floor_plan_id == "tiny" else good
+
+    results = list(load_plans({"first": 0, "bad": 1, "tiny": 2, "last": 3}, Houses()))
     assert [isinstance(r, TrainingPlan) for r in results] == [True, False, False, True]
     assert results[3].number == 3  # type: ignore[union-attr]
 
@@ -154,6 +171,51 @@ def test_training_goes_on_where_it_was_killed_and_ends_the_same(
         assert (resumed.model.state_dict()[name] == value).all(), name
 
 
+@pytest.mark.filterwarnings("ignore:This DataLoader will create")  # on one core
+@pytest.mark.filterwarnings("ignore:.*use of fork")  # with threads, from Python 3.12 on
+def test_any_number_of_processes_makes_the_same_batches(plans: list[TrainingPlan]) -> None:
+    def epoch(number: int) -> Epoch:
+        return Epoch(plans[:3], 24 * 24 * 4, 0, number, NEARBY, augment=True)
+
+    def first_six(jobs: int) -> list[tuple[Place, bytes]]:
+        batches = islice(batches_from(epoch, Place(0, 1), jobs), 6)
+        return [(place, batch.observed.tobytes() + batch.weights.tobytes())
+                for place, batch in batches]  # fmt: skip
+
+    alone = first_six(jobs=1)
+    assert [place for place, _ in alone] == [(0, 1), (0, 2), (0, 3), (1, 0), (1, 1), (1, 2)]
+    assert first_six(jobs=2) == alone
+
+
+def test_maps_are_turned_and_mirrored_all_alike() -> None:
+    cells = draw("""
+        #..
+        ##.
+    """)
+    ways = [turned(cells, orientation).tolist() for orientation in range(ORIENTATIONS)]
+    assert all(way not in ways[:i] for i, way in enumerate(ways))
+    assert (turned(cells, 4) == draw("""
+        ..
+        #.
+        ##
+    """)).all()  # fmt: skip
+    item = prepare_plan(0, plan("""
+        #########
+        #.......#
+        #.......#
+        #.......#
+        #########
+    """))  # fmt: skip
+    for orientation in range(ORIENTATIONS):
+        batch = make_batch([item], [0], 0, NEARBY, orientation)
+        assert batch.observed.shape == ((1, 16, 8) if orientation & 4 else (1, 8, 16))
+        known = batch.observed[0] >= 0
+        assert (batch.observed[0][known] == batch.truth[0][known]).all()
+        assert batch.explorable.any()
+        assert (batch.observed[0, -1, -1] == OUTSIDE).all()  # what is added is at the high ends
+        assert batch.observed[0, 0, 0] != OUTSIDE
+
+
 def test_a_checkpoint_of_another_configuration_is_refused(
     plans: list[TrainingPlan], tmp_path: Path
 ) -> None:
@@ -168,7 +230,7 @@ def test_a_checkpoint_of_another_configuration_is_refused(
 
 
 def test_batches_are_what_make_batch_says(plans: list[TrainingPlan]) -> None:
-    batch = make_batch(plans[:3], [0, 1, 2], seed=5, padding=OUTSIDE)
+    batch = make_batch(plans[:3], [0, 1, 2], seed=5, layout=NEARBY)
     assert batch.observed.shape == (3, 24, 24)
     known = batch.observed != UNKNOWN
     assert (batch.observed[known] == batch.truth[known]).all()
@@ -236,11 +298,24 @@ def test_nearby_unseen_cells_count_more() -> None:
         ??######
     """)
     item = prepare_plan(0, hall, logged=[seen])
-    batch = make_batch([item], [0], seed=0, padding=OUTSIDE)
-    weights = loss_weights(batch, LossRegion.NEARBY)[0, :4, :8]
+    batch = make_batch([item], [0], seed=0, layout=NEARBY)
+    weights = batch.weights[0, :4, :8]
     assert weights[1].tolist() == pytest.approx([2 / 3, 4 / 5, 4 / 5, 4 / 5, 0, 0, 0, 0])
     assert weights[0].tolist() == pytest.approx([2 / 3, 4 / 5, 0, 0, 0, 0, 0, 0])
-    assert (loss_weights(batch, LossRegion.NEARBY)[0, 4:] == 0).all()  # outside of the grid
+    assert (batch.weights[0, 4:] == 0).all()  # outside of the grid
+
+
+def test_a_network_that_normalizes_is_never_given_one_small_map(
+    plans: list[TrainingPlan], tmp_path: Path
+) -> None:
+    odd = plans[:3]  # 15 maps: seven batches of two, and one is left over
+    epoch = Epoch(odd, 2 * 24 * 24, 0, 0, NEARBY)
+    assert [len(group) for group in epoch.batches()] == [2] * 7
+    config = TrainingConfig(samples=20, batch=1, architecture="unet")
+    small = [prepare_plan(i, FloorPlan("hall", np.zeros((9 + 9 * i, 9), np.int8), 1.0))
+             for i in range(2)]  # fmt: skip
+    trainer = Trainer(small, plans[10:], config, "cpu", tmp_path / "a.checkpoint")
+    assert [report for report in trainer.run() if not isinstance(report, int)]
 
 
 def test_an_epoch_has_all_logged_maps_and_as_many_simulated_ones(
@@ -253,7 +328,7 @@ def test_an_epoch_has_all_logged_maps_and_as_many_simulated_ones(
     ]
     drawn = []
     for number in range(2):
-        epoch = Epoch([*plans, *logs], 4096, 0, number, OUTSIDE)
+        epoch = Epoch([*plans, *logs], 4096, 0, number, NEARBY)
         pairs = [pair for group in epoch.batches() for pair in group]
         logged = sorted((i, run) for i, run in pairs if i >= len(plans))
         assert logged == [(12, 0), (12, 1), (12, 2), (13, 0), (13, 1), (13, 2), (13, 3)]
