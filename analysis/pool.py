@@ -1,13 +1,15 @@
-"""The same work on many logs, in several processes."""
+"""The same work on many things, in several processes."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import connection
 from typing import Final, TypeVar
 
 from mapreplay.errors import MapreplayError
@@ -20,20 +22,27 @@ WORTH_A_PROCESS: Final = 16
 """Pieces of work below which starting another process takes longer than it saves."""
 
 
+class WorkerDied(MapreplayError):
+    """A process of a pool ended in the middle of its work."""
+
+
 def default_jobs(pieces: int) -> int:
     """As many processes as there are cores, and work for them."""
     return max(1, min(os.cpu_count() or 1, pieces // WORTH_A_PROCESS))
 
 
-def map_unordered(work: Callable[[_T], _R], items: Sequence[_T], jobs: int) -> Iterator[_R]:
+def map_unordered(
+    work: Callable[[_T], _R], items: Sequence[_T], jobs: int, ahead: int = 2
+) -> Iterator[_R]:
     """work(item) of every item, as they are done; with one job in this process.
 
-    At most two items a process are under way, so that results do not pile up. `work` must be a
-    function of a module, and not raise: what it returns says what went wrong. Closing the
-    generator ends the processes after the item that each is at.
+    At most `ahead` items a process are under way, so that results do not pile up. `work` must be
+    a function of a module. What it raises is raised here and ends the rest; where the rest
+    matters, what it returns should say what went wrong. Closing the generator ends the processes
+    after the item that each is at.
 
     Raises:
-        MapreplayError: a process died.
+        WorkerDied: a process died.
     """
     if jobs == 1 or len(items) < 2:
         yield from map(work, items)
@@ -44,7 +53,7 @@ def map_unordered(work: Callable[[_T], _R], items: Sequence[_T], jobs: int) -> I
     try:
         while True:
             with ignoring_interrupts():  # this starts processes
-                while len(running) < 2 * jobs and (item := next(waiting, None)) is not None:
+                while len(running) < ahead * jobs and (item := next(waiting, None)) is not None:
                     running.add(pool.submit(work, item))
             if not running:
                 return
@@ -52,7 +61,7 @@ def map_unordered(work: Callable[[_T], _R], items: Sequence[_T], jobs: int) -> I
             for future in done:
                 yield future.result()
     except BrokenProcessPool:
-        raise MapreplayError(
+        raise WorkerDied(
             "a worker process died, perhaps for want of memory; try again with --jobs 1"
         ) from None
     finally:
@@ -60,7 +69,17 @@ def map_unordered(work: Callable[[_T], _R], items: Sequence[_T], jobs: int) -> I
 
 
 def _begin() -> None:
-    """Only the parent decides what Ctrl-C means; see `mapreplay.recorders.batch`."""
+    """Only the parent decides what Ctrl-C means (see `mapreplay.recorders.batch`); and a worker
+    ends when its parent does, however.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(os, "setpgid"):
         os.setpgid(0, 0)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_after, args=(parent.sentinel,), daemon=True).start()
+
+
+def _end_after(sentinel: int) -> None:
+    connection.wait([sentinel])
+    os._exit(1)

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
-import threading
-from collections.abc import Generator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import connection
+from collections.abc import Generator, Iterator, Sequence
 from typing import Final
 
 from mapreplay.analysis.experiment.jobs import Job, identity, run_job
 from mapreplay.analysis.experiment.rows import Row, RowFile
+from mapreplay.analysis.pool import WorkerDied, map_unordered
 from mapreplay.errors import MapreplayError
 
 QUEUED_PER_PROCESS: Final = 8
@@ -52,44 +46,20 @@ def run_jobs(
     with file.locked():
         file.repair()
         there = {identity(row) for row in file.read()}
-        for rows in map(_work, jobs) if processes == 1 else _in_parallel(jobs, processes):
+        for rows in _in_processes(jobs, processes):
             for row in rows:
                 if identity(row) not in there:  # a kill may have come between two rows of a job
                     file.append(row)
             yield rows
 
 
-def _in_parallel(jobs: Sequence[Job], processes: int) -> Generator[list[Row], None, None]:
-    waiting = list(jobs)[::-1]
-    running: set[Future[list[Row]]] = set()
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(processes, mp_context=context, initializer=_begin_worker)
+def _in_processes(jobs: Sequence[Job], processes: int) -> Iterator[list[Row]]:
     try:
-        while waiting or running:
-            while waiting and len(running) < processes * QUEUED_PER_PROCESS:
-                running.add(pool.submit(_work, waiting.pop()))
-            done, running = wait(running, return_when=FIRST_COMPLETED)
-            for future in done:
-                yield future.result()
-    except BrokenProcessPool:
+        yield from map_unordered(_work, jobs, processes, ahead=QUEUED_PER_PROCESS)
+    except WorkerDied:
         raise MapreplayError(
             "a worker process died; what it finished is kept, repeat the command to go on"
         ) from None
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _begin_worker() -> None:
-    """Ctrl-C is the parent's business alone; and a worker ends when its parent does, however."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_end_after, args=(parent.sentinel,), daemon=True).start()
-
-
-def _end_after(sentinel: int) -> None:
-    connection.wait([sentinel])
-    os._exit(1)
 
 
 def _work(job: Job) -> list[Row]:

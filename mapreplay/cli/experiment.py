@@ -55,7 +55,7 @@ def experiment(
 def _find(name: str) -> Path:
     """The configuration file: a path, or a name in the samples."""
     path = Path(name)
-    if path.exists():
+    if path.is_file():  # and not a folder of results called like the experiment
         return path
     samples = Path("samples") / "experiments" / f"{name}.toml"
     if samples.exists():

@@ -82,6 +82,17 @@ def test_what_is_wrong_is_one_line(
     assert said in result.err
 
 
+def test_a_folder_called_like_an_experiment_does_not_hide_it(
+    cli: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "tiny").mkdir()
+    (tmp_path / "samples" / "experiments").mkdir(parents=True)
+    (tmp_path / "samples" / "experiments" / "tiny.toml").write_text("coverage = 2")
+    monkeypatch.chdir(tmp_path)
+    result = cli("experiment", "tiny", "--out", "out")
+    assert "samples/experiments/tiny.toml" in result.err
+
+
 def test_an_out_that_is_no_folder_is_refused(cli: Run, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     result = cli("experiment", TINY, "--out", tmp_path / "file")
