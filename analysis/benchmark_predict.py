@@ -102,7 +102,9 @@ def _eager(
     model = model.to(memory_format=layout)  # type: ignore[call-overload]
     for first in range(0, len(cells), batch):
         maps = cells[first : first + batch]
-        p_wall = torch.sigmoid(model(one_hot(torch.from_numpy(np.stack(maps))).contiguous(memory_format=layout)))
+        p_wall = torch.sigmoid(
+            model(one_hot(torch.from_numpy(np.stack(maps))).contiguous(memory_format=layout))
+        )
         yield from p_wall[:, 0].numpy()
 
 

@@ -22,7 +22,7 @@ WORTH_A_PROCESS: Final = 16
 """Pieces of work below which starting another process takes longer than it saves."""
 
 
-class WorkerDied(MapreplayError):
+class WorkerError(MapreplayError):
     """A process of a pool ended in the middle of its work."""
 
 
@@ -42,7 +42,7 @@ def map_unordered(
     after the item that each is at.
 
     Raises:
-        WorkerDied: a process died.
+        WorkerError: a process died.
     """
     if jobs == 1 or len(items) < 2:
         yield from map(work, items)
@@ -61,7 +61,7 @@ def map_unordered(
             for future in done:
                 yield future.result()
     except BrokenProcessPool:
-        raise WorkerDied(
+        raise WorkerError(
             "a worker process died, perhaps for want of memory; try again with --jobs 1"
         ) from None
     finally:

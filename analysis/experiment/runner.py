@@ -7,7 +7,7 @@ from typing import Final
 
 from mapreplay.analysis.experiment.jobs import Job, identity, run_job
 from mapreplay.analysis.experiment.rows import Row, RowFile
-from mapreplay.analysis.pool import WorkerDied, map_unordered
+from mapreplay.analysis.pool import WorkerError, map_unordered
 from mapreplay.errors import MapreplayError
 
 QUEUED_PER_PROCESS: Final = 8
@@ -56,7 +56,7 @@ def run_jobs(
 def _in_processes(jobs: Sequence[Job], processes: int) -> Iterator[list[Row]]:
     try:
         yield from map_unordered(_work, jobs, processes, ahead=QUEUED_PER_PROCESS)
-    except WorkerDied:
+    except WorkerError:
         raise MapreplayError(
             "a worker process died; what it finished is kept, repeat the command to go on"
         ) from None

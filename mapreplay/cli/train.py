@@ -69,9 +69,7 @@ def train(
         int, typer.Option(min=1, help="Samples between points of the curve and checkpoints.")
     ] = 25_000,
     device: Annotated[str, typer.Option(help="cpu, cuda, ...")] = "cpu",
-    threads: Annotated[
-        int | None, typer.Option(min=1, help="CPU threads of the network.")
-    ] = None,
+    threads: Annotated[int | None, typer.Option(min=1, help="CPU threads of the network.")] = None,
     jobs: Annotated[
         int, typer.Option(min=1, help="Processes that load plans and make the batches.")
     ] = 1,

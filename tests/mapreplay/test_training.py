@@ -35,7 +35,6 @@ from mapreplay.training.observations import (
     simulate_observations,
 )
 
-
 AS_IN_THE_PAPER = Layout(UNKNOWN, LossRegion.ALL)
 NEARBY = Layout(OUTSIDE, LossRegion.NEARBY, fewest_left_over=2)
 

@@ -87,9 +87,7 @@ def test_rows_of_other_datasets_are_left_alone(tmp_path: Path) -> None:
 
 def test_a_dead_process_is_told_and_what_was_finished_is_kept(tmp_path: Path) -> None:
     (template,) = jobs(1)
-    deadly = [
-        DeadlyJob("D1", plan(HOUSE, f"deadly{n}"), template.config, 0.14) for n in range(2)
-    ]
+    deadly = [DeadlyJob("D1", plan(HOUSE, f"deadly{n}"), template.config, 0.14) for n in range(2)]
     file = RowFile(tmp_path / "rows.jsonl")
     with pytest.raises(MapreplayError, match="a worker process died; what it finished is kept"):
         run(deadly, file, processes=2)
