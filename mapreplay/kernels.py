@@ -299,12 +299,14 @@ def wander(truth: Any, row: int, col: int, offsets: Any, raws: Any, observed: An
     branches = raws.shape[0] // 3
     height, width = truth.shape
     visited = np.empty((1 + branches * reach, 2), np.int64)
+    looked = np.zeros((height, width), np.bool_)  # a second look from a cell shows nothing new
     visited[0, 0] = row
     visited[0, 1] = col
     n = 1
     hits = np.empty(rays, np.int16)
     cast_rays(truth, row, col, offsets, hits)
     mark_rays(observed, row, col, offsets, hits)
+    looked[row, col] = True
     for b in range(branches):
         go_on = raws[3 * b] % np.uint64(4) != np.uint64(0)
         node = n - 1 if go_on else np.int64(raws[3 * b] // np.uint64(4) % np.uint64(n))
@@ -323,8 +325,10 @@ def wander(truth: Any, row: int, col: int, offsets: Any, raws: Any, observed: An
         for k in range(length):
             r = r0 + offsets[a, k, 0]
             c = c0 + offsets[a, k, 1]
-            cast_rays(truth, r, c, offsets, hits)
-            mark_rays(observed, r, c, offsets, hits)
+            if not looked[r, c]:
+                cast_rays(truth, r, c, offsets, hits)
+                mark_rays(observed, r, c, offsets, hits)
+                looked[r, c] = True
             visited[n, 0] = r
             visited[n, 1] = c
             n += 1
