@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from mapreplay.grid import FREE, UNKNOWN
 from mapreplay.mapping import dequantize
@@ -19,7 +20,8 @@ class InformativePath:
     utility = gain / (1 + distance). The gain counts the unknown cells of the map under
     construction, each times P(it is explorable) times P(it is seen), where a ray passes an
     unknown cell with 1 - P(occupied). It is that of the frontier cell's own view, and for the
-    `ways` best by that, of all views on the shortest path. docs/planners.md has the equations.
+    `ways` best by that, and for the last target, of all views on the shortest path.
+    docs/planners.md has the equations, and why this never goes in circles.
     """
 
     ways: int = 8
@@ -34,6 +36,7 @@ class InformativePath:
         utility = gains / (1 + situation.costs)
         first = np.argsort(-utility, kind="stable")[: self.ways]
         if len(first):
+            first = np.union1d(first, previous(situation))
             along = np.empty(len(first), np.float64)
             paths = situation.paths
             kernels.way_gains(
@@ -43,6 +46,13 @@ class InformativePath:
             # A way shows at least what its end does, so that none of the others is overrated.
             utility[first] = along / (1 + situation.costs[first])
         return Choice(best(utility, situation.costs), utility, gains)
+
+
+def previous(situation: Situation) -> npt.NDArray[np.intp]:
+    """The number of the last target among the frontier cells, or none if it is none any more."""
+    if situation.previous_target is None:
+        return np.empty(0, np.intp)
+    return np.flatnonzero((situation.frontier == situation.previous_target).all(axis=1))
 
 
 def expectations(situation: Situation) -> tuple[Float64s, Float64s]:

@@ -1,8 +1,11 @@
 """Informative path: where it goes elsewhere than Cost-Utility, and its gains against slow ones."""
 
+import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -11,7 +14,8 @@ from drawing import draw, find, plan
 from mapreplay.analysis.verify import verify
 from mapreplay.config import EpisodeConfig
 from mapreplay.episode import prepare_episode, run_episode
-from mapreplay.grid import FREE, UNKNOWN, Cell
+from mapreplay.floorplans.procedural import Style, generate
+from mapreplay.grid import FREE, UNKNOWN, Cell, Grid
 from mapreplay.mapping import PredictionDtype, quantize
 from mapreplay.planners import Planner, kernels, load_planner
 from mapreplay.planners.cost_utility import CostUtility
@@ -21,7 +25,7 @@ from mapreplay.randomness import Draws, Purpose
 from mapreplay.recorders.log import EpisodeLog
 from mapreplay.recorders.writer import EpisodeWriter
 from mapreplay.sensor import Sensor
-from mapreplay.step import Step, differences
+from mapreplay.step import Mode, PredictorIdentity, Step, differences
 from recordings import THREE_ROOMS, BlurPredictor
 
 SENSOR = Sensor(rays=8, reach=3)
@@ -71,6 +75,19 @@ def test_what_lies_along_the_way_counts() -> None:
     assert InformativePath().choose(here).reward.tolist() == [3, 1, 3]
     assert column(InformativePath(), here) == 14
     assert column(InformativePath(ways=0), here) == 3
+
+
+def test_the_last_target_keeps_what_lies_on_its_way() -> None:
+    # Else it is worth less as soon as others are among the best, and the agent turns round; and
+    # when it has turned round it is worth more again.
+    here = situation(NICHE)
+    assert InformativePath(ways=1).choose(here).reward.tolist() == [3, 1, 2]
+    row = int(here.frontier[2, 0])
+    going = replace(here, previous_target=Cell(row, 14))
+    assert InformativePath(ways=1).choose(going).reward.tolist() == [3, 1, 3]
+    assert column(InformativePath(ways=1), going) == 14
+    gone = replace(here, previous_target=Cell(row, 15))  # it is no frontier cell any more
+    assert InformativePath(ways=1).choose(gone).reward.tolist() == [3, 1, 2]
 
 
 def test_nothing_is_expected_behind_a_wall_that_is_likely() -> None:
@@ -189,3 +206,33 @@ def test_a_log_of_it_verifies_and_the_same_seed_gives_the_same_steps(tmp_path: P
     assert [differences(a, b) for a, b in zip(one, other, strict=True)] == [["profile"]] * len(one)
     assert one[-1].outcome == "mapped"
     assert verify(EpisodeLog(tmp_path / "one.mcap")).differences == ()
+
+
+class Fickle:
+    """Says something else about every map, and the same about the same map."""
+
+    identity = PredictorIdentity("fickle", "0" * 64)
+
+    def predict(self, observed: Grid) -> npt.NDArray[np.float32]:
+        seed = zlib.crc32(observed.tobytes())
+        return np.random.default_rng(seed).random(observed.shape, np.float32) ** 2
+
+
+@settings(max_examples=15)
+@given(st.integers(0, 999), st.integers(1, 8))
+def test_it_never_goes_in_circles_while_it_sees_nothing_new(seed: int, ways: int) -> None:
+    style = Style(height=24, width=24, min_room=4, door=2, shift=1)
+    config = EpisodeConfig(planner="informative-path", fail_safe=True, seed=1, reach=6)
+    episode = prepare_episode(
+        config, generate(seed, style), InformativePath(ways=ways), predictor=Fickle()
+    )
+    observed, been = b"", set[tuple[Cell, Cell]]()
+    for step in run_episode(episode):
+        assert step.observed is not None
+        if step.observed.tobytes() != observed or step.mode is not Mode.NORMAL:
+            observed = step.observed.tobytes()
+            been.clear()
+        if step.decision is not None and step.mode is Mode.NORMAL:
+            here = step.agent, step.decision.target
+            assert here not in been
+            been.add(here)
