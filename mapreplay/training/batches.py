@@ -9,6 +9,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import cv2
 from torch.utils.data import DataLoader, Dataset, Sampler
 
+from mapreplay.errors import MapreplayError
 from mapreplay.training.dataset import Batch, Epoch
 
 AHEAD: Final = 4
@@ -28,7 +29,11 @@ class Place(NamedTuple):
 def batches_from(
     epoch: Callable[[int], Epoch], first: Place, jobs: int
 ) -> Iterator[tuple[Place, Batch]]:
-    """All batches from `first` on, without end; the same whatever the number of `jobs`."""
+    """All batches from `first` on, without end; the same whatever the number of `jobs`.
+
+    Raises:
+        MapreplayError: there are so few maps that an epoch has no batch.
+    """
     # PyTorch's worker processes are copies of this one and share its plans.
     yield from DataLoader(
         _Batches(epoch),
@@ -51,6 +56,10 @@ class _Order(Sampler[tuple[Place, Group]]):
         number, begin = self.first
         while True:
             groups = self.epoch(number).batches()
+            if not groups:
+                raise MapreplayError(
+                    "too few maps to train on: this network needs two of one size at once"
+                )
             for i in range(begin, len(groups)):
                 yield Place(number, i), groups[i]
             number, begin = number + 1, 0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drawing import draw, plan
-from mapreplay.errors import FloorPlanError, WeightsError
+from mapreplay.errors import FloorPlanError, MapreplayError, WeightsError
 from mapreplay.floorplan import FloorPlan, explorable
 from mapreplay.floorplans.procedural import Style, generate
 from mapreplay.grid import FREE, UNKNOWN, Cell
@@ -315,6 +315,14 @@ def test_a_network_that_normalizes_is_never_given_one_small_map(
              for i in range(2)]  # fmt: skip
     trainer = Trainer(small, plans[10:], config, "cpu", tmp_path / "a.checkpoint")
     assert [report for report in trainer.run() if not isinstance(report, int)]
+
+
+def test_too_few_maps_are_told(plans: list[TrainingPlan], tmp_path: Path) -> None:
+    alone = [TrainingPlan(0, plans[0].truth, plans[0].explorable, (plans[0].truth,))]
+    config = TrainingConfig(samples=20, architecture="unet")
+    trainer = Trainer(alone, plans[10:], config, "cpu", tmp_path / "a.checkpoint")
+    with pytest.raises(MapreplayError, match="too few maps to train on"):
+        next(trainer.run())
 
 
 def test_an_epoch_has_all_logged_maps_and_as_many_simulated_ones(
