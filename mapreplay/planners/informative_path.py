@@ -68,5 +68,7 @@ def expectations(situation: Situation) -> tuple[Float64s, Float64s]:
         p_wall = dequantize(situation.prediction)
     worth = np.empty(plan_map.shape, np.float64)
     kernels.explorable_chance(situation.build_map, situation.observed, p_wall, worth)
-    transparency = np.where(plan_map == UNKNOWN, 1 - p_wall, plan_map == FREE)
+    # Also where the fused map takes the cell for known: a wall that is likely may be a door.
+    observed = situation.observed
+    transparency = np.where(observed == UNKNOWN, 1 - p_wall, observed == FREE)
     return worth, transparency
