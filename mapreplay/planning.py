@@ -101,6 +101,14 @@ class Situation:
         """float64[n]: length of the shortest path to each frontier cell, in cells."""
         return self.paths.costs(self.frontier)
 
+    @property
+    def previous_index(self) -> int | None:
+        """The place of the last target in the frontier; None if it is no frontier cell any more."""
+        if self.previous_target is None:
+            return None
+        same = np.flatnonzero((self.frontier == self.previous_target).all(axis=1))
+        return int(same[0]) if len(same) else None
+
     @cached_property
     def uncertainty(self) -> Float64s:
         """float64[H, W]: 1 - c, what is to be gained by seeing a cell, in [0, 1].

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import shlex
 import sys
 from pathlib import Path
@@ -104,7 +103,7 @@ def train(
 
     from mapreplay.cli.progress import progress_bar
     from mapreplay.cli.training_data import load, load_logs
-    from mapreplay.floorplans import open_source, read_ids, select
+    from mapreplay.floorplans import by_sha256, open_source, read_ids, select
     from mapreplay.predictors.architectures import ARCHITECTURES
     from mapreplay.predictors.weights import file_sha256, load_tensors
     from mapreplay.training.dataset import LossRegion
@@ -141,7 +140,7 @@ def train(
         held_ids = list(other.ids())[:validation_plans]
         held = load("validation", other, held_ids, jobs)
     else:
-        held_ids = sorted(wanted, key=lambda i: hashlib.sha256(i.encode()).hexdigest())[:hold_out]
+        held_ids = by_sha256(wanted)[:hold_out]
         held = load("validation", source, sorted(held_ids[:validation_plans]), jobs)
     if not held:
         raise UsageError("nothing to validate on: give --validate or --hold-out")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol, cast
@@ -185,6 +186,11 @@ def select(
         ids=tuple(entry for entry in asked if entry in known)[:limit],
         missing=tuple(entry for entry in asked if entry not in known),
     )
+
+
+def by_sha256(ids: Iterable[str]) -> list[str]:
+    """Sorted by the SHA-256 of the id: the first ones are those that are held out."""
+    return sorted(ids, key=lambda floor_plan_id: hashlib.sha256(floor_plan_id.encode()).hexdigest())
 
 
 def load_each(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from mapreplay.grid import FREE, UNKNOWN
 from mapreplay.mapping import dequantize
@@ -36,7 +35,8 @@ class InformativePath:
         utility = gains / (1 + situation.costs)
         first = np.argsort(-utility, kind="stable")[: self.ways]
         if len(first):
-            first = np.union1d(first, previous(situation))
+            if (going := situation.previous_index) is not None:
+                first = np.union1d(first, going)
             along = np.empty(len(first), np.float64)
             paths = situation.paths
             kernels.way_gains(
@@ -48,27 +48,19 @@ class InformativePath:
         return Choice(best(utility, situation.costs), utility, gains)
 
 
-def previous(situation: Situation) -> npt.NDArray[np.intp]:
-    """The number of the last target among the frontier cells, or none if it is none any more."""
-    if situation.previous_target is None:
-        return np.empty(0, np.intp)
-    return np.flatnonzero((situation.frontier == situation.previous_target).all(axis=1))
-
-
 def expectations(situation: Situation) -> tuple[Float64s, Float64s]:
     """What is to be gained by seeing each cell, and how probably a ray passes it.
 
     Both float64[H, W] in [0, 1]. Where nothing is predicted, unknown cells are taken for free:
     all are explorable, and transparent, as for Cost-Utility.
     """
-    plan_map = situation.plan_map
+    observed = situation.observed
     if situation.prediction is None:
-        p_wall = np.zeros(plan_map.shape, np.float64)
+        p_wall = np.zeros(observed.shape, np.float64)
     else:
         p_wall = dequantize(situation.prediction)
-    worth = np.empty(plan_map.shape, np.float64)
-    kernels.explorable_chance(situation.build_map, situation.observed, p_wall, worth)
+    worth = np.empty(observed.shape, np.float64)
+    kernels.explorable_chance(situation.build_map, observed, p_wall, worth)
     # Also where the fused map takes the cell for known: a wall that is likely may be a door.
-    observed = situation.observed
     transparency = np.where(observed == UNKNOWN, 1 - p_wall, observed == FREE)
     return worth, transparency

@@ -15,9 +15,7 @@ class RandomExploration:
     def choose(self, situation: Situation) -> Choice:
         """See `mapreplay.planners.Planner`."""
         rating = np.ones(len(situation.frontier))
-        if situation.previous_target is not None:
-            same = (situation.frontier == situation.previous_target).all(axis=1)
-            if same.any():
-                return Choice(int(np.argmax(same)), rating, rating)
+        if (same := situation.previous_index) is not None:
+            return Choice(same, rating, rating)
         raw = situation.draws.raw()
         return Choice(scale(raw, len(rating)), rating, rating, raw)

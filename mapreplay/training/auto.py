@@ -10,7 +10,6 @@ are D1, D2 without the held-out houses, and others that are of neither kind.
 from __future__ import annotations
 
 import argparse
-import hashlib
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -26,7 +25,7 @@ from mapreplay.config import EpisodeConfig, MapKind
 from mapreplay.episode import prepare_episode, run_episode
 from mapreplay.errors import FloorPlanError
 from mapreplay.floorplan import FloorPlan, explorable
-from mapreplay.floorplans import open_source, read_ids
+from mapreplay.floorplans import by_sha256, open_source, read_ids
 from mapreplay.floorplans.procedural import generate
 from mapreplay.grid import FREE, Grid
 from mapreplay.predictors.auto import Classifier, Kind, save_classifier
@@ -162,11 +161,6 @@ def houses(archive: Path, ids: list[str], resolution: float) -> Iterator[FloorPl
                 yield source.load(house)
             except FloorPlanError as error:
                 sys.stderr.write(f"left out: {error}\n")
-
-
-def by_sha256(ids: Iterable[str]) -> list[str]:
-    """Sorted by the SHA-256 of the id, as `mapreplay train --hold-out` chooses."""
-    return sorted(ids, key=lambda house: hashlib.sha256(house.encode()).hexdigest())
 
 
 def examples_of(

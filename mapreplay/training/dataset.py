@@ -29,8 +29,6 @@ MAX_SIDE: Final = 160
 MIN_SIDE: Final = 8
 MAPS_PER_LOG: Final = 24
 """Observed maps of a logged episode that are trained on; neighbouring steps are much alike."""
-
-
 ORIENTATIONS: Final = 8
 """Ways to turn and mirror a map."""
 

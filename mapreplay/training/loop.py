@@ -149,10 +149,10 @@ class Trainer:
         The checkpoint is written with every point of the curve.
         """
         config, state = self.config, self.state
+        if state.samples >= config.samples:  # it goes on after its end
+            return
         began = time.monotonic()
         for place, batch in batches_from(self._epoch, Place(state.epoch, state.batch), self.jobs):
-            if state.samples >= config.samples:
-                return
             self._step(batch)
             before = state.samples
             state.samples += len(batch.observed)

@@ -68,9 +68,6 @@ def house() -> Grid:
         (29, 10, 41, 36),
         (29, 2, 36, 9),
         (18, 38, 27, 49),
-    ):
-        cells[top:bottom, left:right] = FREE
-    for top, left, bottom, right in (
         (6, 22, 10, 24),  # doors of four or five cells
         (14, 8, 16, 12),
         (11, 28, 13, 32),
