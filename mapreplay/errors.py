@@ -3,7 +3,9 @@
     MapreplayError            exit 1   something could not be done
     ├── UsageError            exit 2   asked for something that does not exist or does not fit
     │   ├── ConfigError                a key of the configuration has an illegal value
-    │   └── PluginError                a planner, predictor, source or metric is unknown or broken
+    │   ├── PluginError                a planner, predictor, source or metric is unknown or broken
+    │   └── ExistsError                what is to be written is there already
+    ├── WriteError                     a file cannot be written; what was there is as it was
     ├── FloorPlanError                 a floor plan cannot be read, or makes no sense
     ├── WeightsError                   a predictor's weights cannot be read
     └── LogError                       a log cannot be read or written
@@ -34,6 +36,14 @@ class ConfigError(UsageError):
 
 class PluginError(UsageError):
     """A plug-in is unknown, or failed to load."""
+
+
+class ExistsError(UsageError):
+    """What is to be written is there already, or its name is that of a link, folder or device."""
+
+
+class WriteError(MapreplayError):
+    """A file cannot be written; what was there before is as it was."""
 
 
 class FloorPlanError(MapreplayError):

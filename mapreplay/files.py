@@ -1,0 +1,103 @@
+"""Writing files whole or not at all: one way, one wording.
+
+A file is made under another name in the same folder and takes its own name when it is complete, so
+that an error, a full disk or a kill leaves what was there before. A link is never written through,
+and nothing but a regular file is ever replaced.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import stat
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from mapreplay.errors import ExistsError, WriteError
+
+
+def check_new(path: Path, *, force: bool = False) -> None:
+    """Refuse to write `path` before any work is done for it.
+
+    Args:
+        path: The file to be written.
+        force: Whether a regular file of that name may be replaced.
+
+    Raises:
+        ExistsError: it is there and `force` is not given, or it is not a regular file: a folder,
+            a link, a device.
+        WriteError: its folder is not there or cannot be searched.
+    """
+    try:
+        mode = path.lstat().st_mode
+    except FileNotFoundError:
+        if not path.parent.is_dir():
+            raise WriteError(f"{path}: cannot be written (no folder {path.parent})") from None
+        return
+    except (OSError, ValueError) as error:
+        raise _cannot(path, error) from None
+    if stat.S_ISLNK(mode):
+        raise ExistsError(f"{path}: is a link, which is never written through; name its target")
+    if stat.S_ISDIR(mode):
+        raise ExistsError(f"{path}: is a folder; name a file")
+    if not stat.S_ISREG(mode):
+        raise ExistsError(f"{path}: is not a regular file; name another one")
+    if not force:
+        raise ExistsError(f"{path}: exists; choose another name, or overwrite it with --force")
+
+
+@contextmanager
+def whole_path(path: Path, *, force: bool = False) -> Iterator[Path]:
+    """A draft to write under the name that this yields; it becomes `path` at the end of the block.
+
+    Where the block raises, nothing of the draft is left and `path` is as it was. The draft has the
+    ending of `path`, for encoders that go by it.
+
+    Raises:
+        ExistsError: see `check_new`; also if `path` came to be meanwhile.
+        WriteError: the draft could not be written or renamed; OSErrors of the block are this, too.
+    """
+    check_new(path, force=force)
+    draft = path.with_name(f".{secrets.token_hex(6)}.draft{path.suffix}")
+    try:
+        yield draft
+        with draft.open("rb") as file:
+            os.fsync(file.fileno())
+        _publish(draft, path, force=force)
+    except OSError as error:
+        raise _cannot(path, error) from None
+    finally:
+        with suppress(OSError):
+            draft.unlink(missing_ok=True)
+
+
+def write_whole(path: Path, content: bytes | Iterable[bytes], *, force: bool = False) -> None:
+    """Write `content`, bytes or blocks of them, as the file `path`, whole or not at all.
+
+    Raises:
+        ExistsError, WriteError: see `whole_path`.
+    """
+    blocks = [content] if isinstance(content, bytes) else content
+    with whole_path(path, force=force) as draft, draft.open("xb") as file:
+        for block in blocks:
+            file.write(block)
+
+
+def _publish(draft: Path, path: Path, *, force: bool) -> None:
+    if force:
+        check_new(path, force=True)  # a link that came meanwhile would be replaced silently
+        draft.replace(path)
+        return
+    try:
+        path.hardlink_to(draft)  # fails where the name is taken, without a race
+    except FileExistsError:
+        check_new(path)
+        raise
+    except OSError:  # a file system without hard links
+        check_new(path)
+        draft.replace(path)
+
+
+def _cannot(path: Path, error: OSError | ValueError) -> WriteError:
+    return WriteError(f"{path}: cannot be written ({getattr(error, 'strerror', None) or error})")
