@@ -35,7 +35,7 @@ from mapreplay.errors import UsageError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.grid import Grid
 from mapreplay.predictors import Predictor, load_predictor
-from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.step import PredictorIdentity
 
 BLUR = "blur"

@@ -23,10 +23,10 @@ from mapreplay.errors import MapreplayError, UsageError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.floorplans import open_source
 from mapreplay.predictors import Predictor
-from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.recorders.replay import Replay
 from mapreplay.recorders.rerun_view import save_rrd, viewer_program
-from mapreplay.recorders.writer import EpisodeWriter
 
 _SMALLEST: Final = 64
 """Cells a side of a procedural floor plan."""

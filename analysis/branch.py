@@ -27,7 +27,7 @@ from mapreplay.floorplan import explorable
 from mapreplay.grid import FREE, OCCUPIED, Grid, Mask
 from mapreplay.mapping import Thresholds
 from mapreplay.predictors import Predictor, choice_of, load_predictor
-from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.step import OURS, Branch, EpisodeHeader, PredictorIdentity, Step
 
 TRUTH: Final = "truth"

@@ -24,11 +24,11 @@ from mapreplay.analysis.diagnosis.marks import sealing_marks
 from mapreplay.analysis.diagnosis.paragraph import paragraph
 from mapreplay.analysis.diagnosis.record import record_of, to_json
 from mapreplay.errors import LogError, UsageError
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.metadata import episode_pairs
+from mapreplay.recorders.log.header import episode_pairs
+from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.recorders.picture import MapPainter
 from mapreplay.recorders.scene import MapView
-from mapreplay.recorders.writer import EpisodeWriter
 
 SCHEMA: Final = "mapreplay.bundle/1"
 LOG_NAME: Final = "episode.mcap"

@@ -17,7 +17,7 @@ from mapreplay.errors import MapreplayError
 from mapreplay.grid import UNKNOWN, Cell
 from mapreplay.mapping import dequantize
 from mapreplay.planners import load_planner
-from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.step import Candidate, Decision, Step
 
 

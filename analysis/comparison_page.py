@@ -22,7 +22,7 @@ from mapreplay.analysis.figures import Draw, in_the_dark, render
 from mapreplay.analysis.wording import counted, p_value, percent, share, with_interval
 from mapreplay.config import MapKind
 from mapreplay.floorplans.preview import encode_png
-from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.picture import MapPainter
 from mapreplay.recorders.scene import MapView
 

@@ -19,7 +19,7 @@ from mapreplay.analysis.episodes import EpisodeRow, summarize
 from mapreplay.analysis.pool import map_unordered
 from mapreplay.config import MapKind
 from mapreplay.errors import MapreplayError
-from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.step import EpisodeHeader, Mode
 
 

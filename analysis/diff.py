@@ -15,7 +15,7 @@ from mapreplay.analysis.corpus import LoggedEpisode, read_episode
 from mapreplay.analysis.curves import Curve, first_reached
 from mapreplay.analysis.parting import Said, find_partings
 from mapreplay.errors import UsageError
-from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.log.reader import EpisodeLog
 
 LEVELS: Final = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 """Coverages between which steps are counted, beside the target."""

@@ -13,7 +13,7 @@ from mapreplay.analysis.corpus import LoggedEpisode
 from mapreplay.analysis.parting import Layer, find_partings
 from mapreplay.analysis.pool import map_unordered
 from mapreplay.errors import MapreplayError
-from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.log.reader import EpisodeLog
 
 
 @dataclass(frozen=True)

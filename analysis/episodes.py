@@ -14,7 +14,7 @@ import polars as pl
 from mapreplay.analysis.curves import first_reached
 from mapreplay.config import MapKind
 from mapreplay.errors import UsageError
-from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.step import Mode
 
 UNFINISHED: Final = "unfinished"

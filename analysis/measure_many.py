@@ -16,7 +16,7 @@ from mapreplay.analysis.per_episode import episode_metrics
 from mapreplay.analysis.pool import map_unordered
 from mapreplay.analysis.store import Store, Stored
 from mapreplay.errors import LogError, MapreplayError
-from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.log.reader import EpisodeLog
 
 
 @dataclass(frozen=True)

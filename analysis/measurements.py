@@ -26,7 +26,7 @@ from mapreplay.analysis.metrics import Metric, guarded
 from mapreplay.episode import Travelled, measure
 from mapreplay.grid import Cell, Grid, Mask, Quantized
 from mapreplay.mapping import certainty
-from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.scores import UnknownAs
 from mapreplay.step import Step, StepMetrics
 

@@ -11,7 +11,7 @@ from mapreplay.analysis.curves import MILESTONES, area, first_reached
 from mapreplay.analysis.episodes import episode_frame, summarize
 from mapreplay.analysis.measurements import CHANGES, RECORDED, Measurements, prediction_scores
 from mapreplay.config import MapKind
-from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.log.reader import EpisodeLog
 
 _IN_ROW: Final = {"path_length", "f1"}
 """Of `RECORDED`, what an `EpisodeRow` has already."""

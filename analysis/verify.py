@@ -36,10 +36,10 @@ from mapreplay.episode import (
 from mapreplay.errors import LogError, PluginError, UsageError
 from mapreplay.grid import FREE, Cell, Grid, Mask, Quantized, check_grid
 from mapreplay.planners import Planner, load_planner
-from mapreplay.recorders import table
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.messages import Messages, Topic, stamp_ns_of
-from mapreplay.recorders.metadata import EPISODE_RECORD, NO_STEPS, OUTCOME_RECORD
+from mapreplay.recorders.log import step_table as table
+from mapreplay.recorders.log.header import EPISODE_RECORD, NO_STEPS, OUTCOME_RECORD
+from mapreplay.recorders.log.messages import Messages, Topic, stamp_ns_of
+from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.sensor import Hits, accumulate, sense
 from mapreplay.step import OURS, Decision, EpisodeHeader, PredictorIdentity, Step
 

@@ -21,7 +21,7 @@ from mapreplay.analysis.curves import first_reached
 from mapreplay.errors import LogError, UsageError
 from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Grid, Mask, Quantized
 from mapreplay.mapping import Thresholds, sure_levels
-from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.log.reader import EpisodeLog
 
 Reals = npt.NDArray[np.float64]
 

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from mapreplay.floorplan import FloorPlan
     from mapreplay.floorplans import open_source
     from mapreplay.foreign import ForeignEpisode, unknown_floor_plan
-    from mapreplay.recorders.log import EpisodeLog
+    from mapreplay.recorders.log.reader import EpisodeLog
+    from mapreplay.recorders.log.writer import EpisodeWriter
     from mapreplay.recorders.notebook import show
-    from mapreplay.recorders.writer import EpisodeWriter
     from mapreplay.step import EpisodeHeader, Step
 
 __all__ = [
@@ -42,8 +42,8 @@ __all__ = [
 _HOMES = {
     "EpisodeConfig": "mapreplay.config",
     "EpisodeHeader": "mapreplay.step",
-    "EpisodeLog": "mapreplay.recorders.log",
-    "EpisodeWriter": "mapreplay.recorders.writer",
+    "EpisodeLog": "mapreplay.recorders.log.reader",
+    "EpisodeWriter": "mapreplay.recorders.log.writer",
     "FloorPlan": "mapreplay.floorplan",
     "ForeignEpisode": "mapreplay.foreign",
     "MapreplayError": "mapreplay.errors",

@@ -20,7 +20,7 @@ from mapreplay.episode import prepare_episode, run_episode
 from mapreplay.errors import MapreplayError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.predictors import kept_predictor
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.step import log_name
 
 REPORT_SECONDS: Final = 0.1

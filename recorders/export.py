@@ -15,7 +15,7 @@ import numpy.typing as npt
 from mapreplay.errors import LogError
 from mapreplay.grid import FREE, OCCUPIED, Grid, Quantized
 from mapreplay.mapping import dequantize
-from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.step import StepMetrics
 
 UNKNOWN_GREY: Final = 160

@@ -43,7 +43,7 @@ from mapreplay.recorders.scene import (
 from mapreplay.step import Cells, Decision, EpisodeHeader, Event, Step
 
 if TYPE_CHECKING:
-    from mapreplay.recorders.log import EpisodeLog
+    from mapreplay.recorders.log.reader import EpisodeLog
 
 WIDTH: Final = 1280.0
 """Points of a frame; its height follows from the pixels."""

@@ -16,7 +16,7 @@ from mapreplay.recorders.scene import first_parting
 from mapreplay.step import EpisodeHeader, Step
 
 if TYPE_CHECKING:
-    from mapreplay.recorders.log import EpisodeLog
+    from mapreplay.recorders.log.reader import EpisodeLog
 
 LETTERS: Final = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 

@@ -10,8 +10,8 @@ from mapreplay.episode import prepare_episode
 from mapreplay.errors import LogError
 from mapreplay.predictors import Predictor
 from mapreplay.recorders.batch import Task
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.metadata import episode_pairs
+from mapreplay.recorders.log.header import episode_pairs
+from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.step import EpisodeHeader
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mapreplay.grid import Grid
-from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.log.reader import EpisodeLog
 
 
 def observed_maps(log: EpisodeLog, count: int) -> Sequence[Grid]:

@@ -19,7 +19,7 @@ from rich.table import Table
 from mapreplay.analysis.comparison import Comparison, compare
 from mapreplay.analysis.corpus import read_episode
 from mapreplay.analysis.groups import group_episodes
-from mapreplay.recorders.paths import find_logs
+from mapreplay.recorders.log.find import find_logs
 
 FLOOR_PLANS = "procedural:60000-60004"
 OUT = Path("runs/demo")

@@ -11,8 +11,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.paths import find_logs
+from mapreplay.recorders.log.find import find_logs
+from mapreplay.recorders.log.reader import EpisodeLog
 
 EPISODES = Path(__file__).parent / "episodes"
 COMMANDS = (

@@ -36,7 +36,7 @@ from mapreplay.config import MapKind
 from mapreplay.errors import PluginError
 from mapreplay.grid import Cell
 from mapreplay.planners import Planner, load_planner
-from mapreplay.recorders.log import EpisodeLog, MapName
+from mapreplay.recorders.log.reader import EpisodeLog, MapName
 from mapreplay.step import OURS, EpisodeHeader, Outcome, Step
 
 

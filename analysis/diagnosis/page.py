@@ -28,7 +28,7 @@ from mapreplay.analysis.page import (
     Picture,
     Table,
 )
-from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.marks import mark_colours
 from mapreplay.recorders.palette import DARK, LIGHT, Theme
 from mapreplay.recorders.picture import MapPainter

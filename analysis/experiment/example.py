@@ -13,8 +13,8 @@ from mapreplay.config import EpisodeConfig
 from mapreplay.episode import prepare_episode, run_episode
 from mapreplay.floorplan import FloorPlan
 from mapreplay.predictors import Predictor
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.step import Cells, Step
 
 EXAMPLE_FILE: Final = "example.mcap"

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from mapreplay.errors import MapreplayError
-from mapreplay.recorders.locking import lock
+from mapreplay.recorders.log.lock import lock
 
 ROWS_FILE: Final = "rows.jsonl"
 

@@ -22,7 +22,7 @@ from PIL import Image
 from rerun.experimental import ViewerClient
 
 from mapreplay.recorders.film import few_colours
-from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.replay import replays_of
 from mapreplay.recorders.rerun_view import save_rrd, viewer_program
 

@@ -43,7 +43,7 @@ def branch(
     from mapreplay.analysis.branch import branch_path, prepare_branch
     from mapreplay.analysis.episodes import brief, episode_frame, episode_row
     from mapreplay.cli.progress import progress_bar
-    from mapreplay.recorders.writer import EpisodeWriter
+    from mapreplay.recorders.log.writer import EpisodeWriter
 
     opened = open_log(log)
     branched = prepare_branch(opened, at, change, device)

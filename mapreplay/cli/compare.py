@@ -90,7 +90,7 @@ def compare(
     from mapreplay.analysis import comparison as of
     from mapreplay.analysis.groups import group_episodes
     from mapreplay.analysis.pool import default_jobs
-    from mapreplay.recorders.paths import find_logs
+    from mapreplay.recorders.log.find import find_logs
 
     jobs = default_jobs(len(find_logs(paths)) // 8)  # a log takes a few milliseconds
     episodes, unreadable = read_episodes(paths, where, jobs)

@@ -103,7 +103,7 @@ def _diagnose(paths: list[Path], where: list[str] | None) -> tuple[dict[str, Dia
     """The diagnoses by file, and how many logs could not be read or were cut short."""
     from mapreplay.analysis.diagnosis.diagnosis import diagnose as diagnose_log
     from mapreplay.cli.progress import progress_bar
-    from mapreplay.recorders.log import EpisodeLog
+    from mapreplay.recorders.log.reader import EpisodeLog
 
     rows, lost = choose(paths, where)
     diagnoses: dict[str, Diagnosis] = {}

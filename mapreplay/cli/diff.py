@@ -81,7 +81,7 @@ def _two(
     a: LoggedEpisode, b: LoggedEpisode
 ) -> tuple[pl.DataFrame, list[str | Command | pl.DataFrame], bool]:
     from mapreplay.analysis.diff import diff_frame, diff_logs
-    from mapreplay.recorders.log import EpisodeLog
+    from mapreplay.recorders.log.reader import EpisodeLog
 
     result = diff_logs(EpisodeLog(a.path), EpisodeLog(b.path))
     return diff_frame(result), list(_story(a, b, result)), not result.identical

@@ -13,7 +13,7 @@ from mapreplay.errors import UsageError
 if TYPE_CHECKING:
     from mapreplay.analysis.corpus import LoggedEpisode
     from mapreplay.analysis.episodes import EpisodeRow
-    from mapreplay.recorders.log import EpisodeLog
+    from mapreplay.recorders.log.reader import EpisodeLog
 
 
 PathsArgument = Annotated[
@@ -44,7 +44,7 @@ def read_episodes(
     Raises:
         LogError: nothing is there, or nothing that can be read.
     """
-    from mapreplay.recorders.paths import find_logs
+    from mapreplay.recorders.log.find import find_logs
 
     logs = find_logs(paths)  # before the slow imports
     from mapreplay.analysis.corpus import LoggedEpisode, read_corpus
@@ -82,12 +82,12 @@ def open_log(path: Path) -> EpisodeLog:
         LogError: there is none, or it cannot be read.
         UsageError: there are several.
     """
-    from mapreplay.recorders.paths import find_logs
+    from mapreplay.recorders.log.find import find_logs
 
     logs = find_logs([path])
     if len(logs) > 1:
         raise UsageError(f"{path}: {len(logs)} logs; name one of them, such as {logs[0]}")
-    from mapreplay.recorders.log import EpisodeLog
+    from mapreplay.recorders.log.reader import EpisodeLog
 
     log = EpisodeLog(logs[0])
     if not log.finished:

@@ -81,7 +81,7 @@ def metrics(
     compared with what was recorded, bit for bit.
     """
     from mapreplay.analysis.measurements import Scope
-    from mapreplay.recorders.paths import find_logs
+    from mapreplay.recorders.log.find import find_logs
     from mapreplay.scores import UnknownAs
 
     if unknown_as not in set(UnknownAs):

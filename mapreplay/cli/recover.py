@@ -24,8 +24,8 @@ def recover(
     """Make finished files of unfinished, cut and damaged logs; exit 3 if steps are missing."""
     import polars as pl
 
-    from mapreplay.recorders.paths import find_logs
-    from mapreplay.recorders.recover import recover as recover_log
+    from mapreplay.recorders.log.find import find_logs
+    from mapreplay.recorders.log.recover import recover as recover_log
 
     rows, failures, lost = [], [], False
     for path in find_logs(paths):

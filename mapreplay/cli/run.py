@@ -278,8 +278,8 @@ def _watch(tasks: list[Task]) -> list[Path]:
     """Record one episode after the other, showing each step as it happens."""
     from mapreplay.episode import prepare_episode, run_episode
     from mapreplay.predictors import load_predictor
+    from mapreplay.recorders.log.writer import EpisodeWriter
     from mapreplay.recorders.rerun_view import LiveView, require_display_here
-    from mapreplay.recorders.writer import EpisodeWriter
 
     try:
         require_display_here()

@@ -13,8 +13,8 @@ from mapreplay.cli.output import note
 from mapreplay.cli.progress import progress_bar
 from mapreplay.errors import FloorPlanError, LogError
 from mapreplay.floorplans import FloorPlanSource
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.paths import find_logs
+from mapreplay.recorders.log.find import find_logs
+from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.sampled import observed_maps
 from mapreplay.training.dataset import MAPS_PER_LOG, TrainingPlan, load_plans, prepare_plan
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import polars as pl
 
     from mapreplay.analysis.verify import Verification
-    from mapreplay.recorders.log import EpisodeLog
+    from mapreplay.recorders.log.reader import EpisodeLog
 
 DIFFERS = 1
 
@@ -42,8 +42,8 @@ def verify(
     if rerun and rerun_from is not None:
         raise UsageError("verify: choose one of --rerun and --rerun-from")
     from mapreplay.analysis.episodes import Condition, summarize
-    from mapreplay.recorders.log import EpisodeLog
-    from mapreplay.recorders.paths import find_logs
+    from mapreplay.recorders.log.find import find_logs
+    from mapreplay.recorders.log.reader import EpisodeLog
 
     check = _check(device, rerun_from, rerun=rerun)
     conditions = [Condition.parse(text) for text in where or []]

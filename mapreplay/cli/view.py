@@ -15,7 +15,7 @@ from mapreplay.errors import UsageError
 
 if TYPE_CHECKING:
     from mapreplay.recorders.frame import Film
-    from mapreplay.recorders.log import EpisodeLog
+    from mapreplay.recorders.log.reader import EpisodeLog
     from mapreplay.recorders.marks import Mark
     from mapreplay.recorders.replay import Replay
 
@@ -94,7 +94,7 @@ def view(
 
 def _open(paths: list[Path]) -> list[EpisodeLog]:
     """All logs that the paths stand for, in the order of the paths."""
-    from mapreplay.recorders.paths import find_each
+    from mapreplay.recorders.log.find import find_each
 
     return [open_log(log) for logs in find_each(paths) for log in logs]
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import polars as pl
 
     from mapreplay.analysis.whatif import WhatIf
-    from mapreplay.recorders.log import EpisodeLog
+    from mapreplay.recorders.log.reader import EpisodeLog
 
 COUNT: Final = 20
 """Thresholds between two ends, unless it is said."""

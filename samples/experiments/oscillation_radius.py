@@ -19,8 +19,8 @@ from mapreplay import kernels
 from mapreplay.analysis.diagnosis.harms import SOON
 from mapreplay.grid import UNKNOWN, Cell, Grid, Quantized
 from mapreplay.mapping import dequantize, fuse
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.paths import find_logs
+from mapreplay.recorders.log.find import find_logs
+from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.step import EpisodeHeader, Step
 
 LATER = (1, 2, 5, 10, SOON)

@@ -26,9 +26,9 @@ from mapreplay.errors import ConfigError, LogError, UsageError
 from mapreplay.grid import Cell
 from mapreplay.mapping import PredictionDtype, Thresholds
 from mapreplay.predictors import Predictor
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.metadata import episode_pairs, header_of
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log.header import episode_pairs, header_of
+from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.step import Outcome, differences
 from recordings import BlurPredictor, Recorded, record, three_rooms
 

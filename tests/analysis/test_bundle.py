@@ -13,7 +13,7 @@ import pytest
 from mapreplay.analysis.bundle import LOG_NAME, make_bundle
 from mapreplay.analysis.verify import verify
 from mapreplay.errors import UsageError
-from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.log.reader import EpisodeLog
 
 SEALED = (
     Path(__file__).parents[2]

@@ -23,8 +23,8 @@ from mapreplay.analysis.per_episode import episode_metrics
 from mapreplay.foreign import ForeignEpisode
 from mapreplay.grid import UNKNOWN
 from mapreplay.mapping import dequantize
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.scores import UnknownAs
 from mapreplay.step import Step, StepMetrics
 from recordings import record, three_rooms

@@ -18,8 +18,8 @@ from mapreplay.floorplans import open_source
 from mapreplay.foreign import ForeignEpisode
 from mapreplay.planners import Choice
 from mapreplay.planning import Situation
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.step import Decision, EpisodeHeader, Outcome, Step
 from recordings import THREE_ROOMS, BlurPredictor, three_rooms
 

@@ -12,7 +12,7 @@ from mapreplay.analysis.measurements import Scope, measure_log
 from mapreplay.analysis.pool import default_jobs, map_unordered
 from mapreplay.analysis.store import Store
 from mapreplay.errors import LogError, MapreplayError, PluginError
-from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.scores import UnknownAs
 from recordings import record, three_rooms
 

@@ -26,11 +26,11 @@ from mapreplay.mapping import PredictionDtype
 from mapreplay.planners import Choice, Planner
 from mapreplay.planning import Situation
 from mapreplay.predictors import NoPredictor, Predictor
-from mapreplay.recorders import table
-from mapreplay.recorders.container_writer import ContainerWriter
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.metadata import outcome_pairs
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log import step_table as table
+from mapreplay.recorders.log.header import outcome_pairs
+from mapreplay.recorders.log.mcap.writer import ContainerWriter
+from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.step import (
     FIRST_STAMP_NS,
     STEP_NS,
@@ -496,7 +496,7 @@ def test_the_summary_and_the_attachment(
     with monkeypatch.context() as lying:
         lying.setattr(table, "row_of", lambda step: (*row_of(step)[:-1], float(step.index == 4)))
         lying.setattr(
-            "mapreplay.recorders.writer.outcome_pairs",
+            "mapreplay.recorders.log.writer.outcome_pairs",
             lambda summary: outcome_pairs(replace(summary, correct_time=17)),
         )
         log = write(tmp_path, true.header, true.steps)

@@ -17,8 +17,8 @@ from mapreplay.episode import look_around, prepare_episode, run_episode
 from mapreplay.errors import LogError, UsageError
 from mapreplay.grid import Grid
 from mapreplay.mapping import Thresholds
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.writer import EpisodeWriter
 from recordings import record, three_rooms, two_rooms
 
 SAMPLES = Path(__file__).parents[2] / "samples" / "episodes"

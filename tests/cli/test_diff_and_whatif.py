@@ -8,7 +8,7 @@ import polars as pl
 import pytest
 
 from commands import Run
-from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.scene import first_parting
 
 SAMPLES = Path(__file__).parents[2] / "samples" / "episodes"

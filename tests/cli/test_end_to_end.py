@@ -8,8 +8,8 @@ import pytest
 from commands import Run
 from mapreplay.analysis.corpus import pair, read_episode
 from mapreplay.grid import FREE, UNKNOWN
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.paths import find_logs
+from mapreplay.recorders.log.find import find_logs
+from mapreplay.recorders.log.reader import EpisodeLog
 
 SAMPLES = Path(__file__).parents[2] / "samples" / "floorplans"
 OBSERVED = ["--planner", "nearest", "--plan-on", "observed", "--build", "observed"]

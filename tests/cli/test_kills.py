@@ -14,8 +14,8 @@ import pytest
 
 from commands import Run
 from mapreplay.episode import run_episode
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.writer import STEPS_A_CHUNK
+from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.writer import STEPS_A_CHUNK
 from mapreplay.step import Step, differences
 from recordings import three_rooms
 
@@ -27,7 +27,7 @@ from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from recordings import three_rooms
 from mapreplay.episode import run_episode
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log.writer import EpisodeWriter
 
 episode = three_rooms(**{LONG})
 with EpisodeWriter(Path(sys.argv[2]), episode.header) as writer:

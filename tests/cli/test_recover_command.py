@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 from commands import Run
-from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.log.reader import EpisodeLog
 from recordings import record, three_rooms
 
 

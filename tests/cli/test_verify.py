@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from commands import Run
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.writer import EpisodeWriter
 
 
 @pytest.fixture

@@ -14,9 +14,9 @@ from drawing import plan, show
 from mapreplay.config import EpisodeConfig
 from mapreplay.episode import prepare_episode, run_episode
 from mapreplay.planners.random import RandomExploration
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.metadata import FORMAT_VERSION
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log.header import FORMAT_VERSION
+from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.step import Step, StepProfile
 from recordings import BlurPredictor
 

@@ -1,10 +1,10 @@
-"""rosbags' CDR serializer: another implementation of what `recorders/cdr.py` packs by hand."""
+"""rosbags' CDR serializer: another implementation of what `recorders/log/cdr.py` packs by hand."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from mapreplay.recorders.schemas import typestore
+from mapreplay.recorders.log.schemas import typestore
 
 
 def to_cdr(message: object, type_name: str) -> bytes:

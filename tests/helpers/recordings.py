@@ -15,7 +15,7 @@ from mapreplay.episode import Episode, prepare_episode, run_episode
 from mapreplay.grid import Grid
 from mapreplay.planners.random import RandomExploration
 from mapreplay.predictors import NoPredictor
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.step import EpisodeHeader, PredictorIdentity, Step
 
 THREE_ROOMS = """

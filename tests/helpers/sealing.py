@@ -13,8 +13,8 @@ from drawing import draw, plan
 from mapreplay.config import EpisodeConfig
 from mapreplay.episode import Episode, prepare_episode, run_episode
 from mapreplay.grid import Grid
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.step import PredictorIdentity
 
 TWO_ROOMS = """

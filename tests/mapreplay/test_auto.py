@@ -33,8 +33,8 @@ from mapreplay.predictors.auto import (
     save_classifier,
 )
 from mapreplay.predictors.auto_features import WORDS, count_words
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.step import Event, EventKind, PredictorIdentity
 from mapreplay.training.other_plans import DRAWN
 

@@ -22,8 +22,8 @@ from mapreplay.planners.cost_utility import CostUtility
 from mapreplay.planners.informative_path import InformativePath, expectations
 from mapreplay.planning import Situation, frontier, shortest_paths
 from mapreplay.randomness import Draws, Purpose
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.sensor import Sensor
 from mapreplay.step import Mode, PredictorIdentity, Step, differences
 from recordings import THREE_ROOMS, BlurPredictor

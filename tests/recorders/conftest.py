@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log.writer import EpisodeWriter
 from recordings import Recorded, record, three_rooms, two_rooms
 
 
@@ -27,7 +27,7 @@ def unpredicted(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
 def small(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     """A finished log of a small map: nine steps in chunks of two, some with events."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mapreplay.recorders.writer.STEPS_A_CHUNK", 2)
+        patch.setattr("mapreplay.recorders.log.writer.STEPS_A_CHUNK", 2)
         return record(tmp_path_factory.mktemp("log"), two_rooms())
 
 

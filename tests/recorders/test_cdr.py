@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.typesys.stores import ros2_humble as ros
 
-from mapreplay.recorders import cdr
-from mapreplay.recorders.schemas import typestore
+from mapreplay.recorders.log import cdr
+from mapreplay.recorders.log.schemas import typestore
 from oracle import to_cdr
 
 STAMP = cdr.Stamp(1, 700_000_000)

@@ -14,14 +14,14 @@ from mcap.records import ChunkIndex, MessageIndex
 from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 
-from mapreplay.recorders.container import (
+from mapreplay.recorders.log.mcap.reader import (
     Channels,
     read_chunk,
     read_record,
     read_records,
     unpack,
 )
-from mapreplay.recorders.container_writer import ContainerWriter
+from mapreplay.recorders.log.mcap.writer import ContainerWriter
 
 Sent = tuple[str, int, bytes]
 """Topic, step, data."""

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from mapreplay.errors import LogError
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.step import EpisodeHeader, differences
 from recordings import Recorded
 
@@ -21,7 +21,7 @@ def killed(small: Recorded, tmp_path_factory: pytest.TempPathFactory) -> Recorde
     """All steps of `small` but the last; the writer was killed."""
     folder = tmp_path_factory.mktemp("killed")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mapreplay.recorders.writer.STEPS_A_CHUNK", 2)
+        patch.setattr("mapreplay.recorders.log.writer.STEPS_A_CHUNK", 2)
         writer = EpisodeWriter(folder / "a.mcap", small.header, profile=True)
         for step in small.steps[:-1]:
             writer.write(step)

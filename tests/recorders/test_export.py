@@ -10,8 +10,8 @@ from drawing import draw
 from mapreplay.errors import LogError
 from mapreplay.recorders import export
 from mapreplay.recorders.export import export_arrays, export_images, shade, shade_prediction
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.table import row_of
+from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.step_table import row_of
 from mapreplay.step import StepMetrics
 from recordings import Recorded
 

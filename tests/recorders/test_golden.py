@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from golden import FOLDER, described
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.metadata import FORMAT_VERSION
+from mapreplay.recorders.log.header import FORMAT_VERSION
+from mapreplay.recorders.log.reader import EpisodeLog
 
 LOGS = sorted(FOLDER.glob("v*.mcap"))
 

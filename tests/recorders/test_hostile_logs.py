@@ -32,11 +32,13 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from mapreplay.errors import LogError
-from mapreplay.recorders import limits, metadata, table
-from mapreplay.recorders.container import read_records
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.messages import Topic
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log import header as metadata
+from mapreplay.recorders.log import limits
+from mapreplay.recorders.log import step_table as table
+from mapreplay.recorders.log.mcap.reader import read_records
+from mapreplay.recorders.log.messages import Topic
+from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.step import FIRST_STAMP_NS
 from recordings import Recorded
 
@@ -410,13 +412,13 @@ def test_a_table_of_gigabytes_is_refused(small: Recorded, tmp_path: Path) -> Non
 def test_more_steps_than_can_be_read_are_not_written(
     small: Recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mapreplay.recorders.writer.MAX_STEPS", 3)
+    monkeypatch.setattr("mapreplay.recorders.log.writer.MAX_STEPS", 3)
     with EpisodeWriter(tmp_path / "a.mcap", small.header) as writer:
         for step in small.steps[:3]:
             writer.write(step)
         with pytest.raises(LogError, match="at most 3 steps"):
             writer.write(small.steps[3])
-    monkeypatch.setattr("mapreplay.recorders.writer.MAX_STEP_BYTES", 100)
+    monkeypatch.setattr("mapreplay.recorders.log.writer.MAX_STEP_BYTES", 100)
     with (
         EpisodeWriter(tmp_path / "b.mcap", small.header) as writer,
         pytest.raises(LogError, match=r"step 0 has [0-9]+ bytes; at most 100 can be read back"),

@@ -11,12 +11,12 @@ from mapreplay.config import MapKind
 from mapreplay.episode import run_episode
 from mapreplay.errors import LogError
 from mapreplay.floorplan import explorable
-from mapreplay.recorders import log as log_module
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.metadata import EpisodeSummary
-from mapreplay.recorders.paths import find_logs
-from mapreplay.recorders.table import row_of, table_of
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log import reader as log_module
+from mapreplay.recorders.log.find import find_logs
+from mapreplay.recorders.log.header import EpisodeSummary
+from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.step_table import row_of, table_of
+from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.step import Mode, Outcome, StepMetrics, differences
 from recordings import Recorded, record, three_rooms
 

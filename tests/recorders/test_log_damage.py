@@ -9,11 +9,11 @@ from mcap.opcode import Opcode
 from mcap.writer import Writer
 
 from mapreplay.errors import LogError
-from mapreplay.recorders import metadata
-from mapreplay.recorders.container import read_records
-from mapreplay.recorders.container_writer import ContainerWriter
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log import header as metadata
+from mapreplay.recorders.log.mcap.reader import read_records
+from mapreplay.recorders.log.mcap.writer import ContainerWriter
+from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.step import differences
 from recordings import Recorded
 
@@ -184,7 +184,7 @@ def test_a_log_that_lies_is_refused(
     del honest["crc32"]
     lies = honest | changes
     lies["crc32"] = metadata._crc(lies)
-    monkeypatch.setattr("mapreplay.recorders.writer.episode_pairs", lambda _: lies)
+    monkeypatch.setattr("mapreplay.recorders.log.writer.episode_pairs", lambda _: lies)
     with EpisodeWriter(tmp_path / "a.mcap", blurred.header) as writer:
         writer.write(blurred.steps[0])
     with pytest.raises(LogError, match=reason) as caught:

@@ -12,7 +12,7 @@ from mapreplay.config import EpisodeConfig
 from mapreplay.errors import LogError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.grid import Cell, Grid, Origin, Quantized
-from mapreplay.recorders.messages import (
+from mapreplay.recorders.log.messages import (
     Encoded,
     Topic,
     check_geometry,
@@ -21,7 +21,7 @@ from mapreplay.recorders.messages import (
     encode_step,
     encode_truth,
 )
-from mapreplay.recorders.schemas import own_definitions, schema_text, typestore
+from mapreplay.recorders.log.schemas import own_definitions, schema_text, typestore
 from mapreplay.sensor import Sensor
 from mapreplay.step import (
     Candidate,

@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 
 from mapreplay.errors import LogError
-from mapreplay.recorders import recover as recovering
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.recover import recover
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log import recover as recovering
+from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.recover import recover
+from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.step import differences
 from recordings import Recorded
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from mapreplay.errors import UsageError
-from mapreplay.recorders.log import EpisodeLog
+from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.replay import names_of, replays_of
 from mapreplay.step import EpisodeHeader
 from recordings import two_rooms

@@ -12,9 +12,9 @@ from mapreplay.config import EpisodeConfig
 from mapreplay.floorplan import FloorPlan
 from mapreplay.grid import Cell, Grid, Origin, Quantized
 from mapreplay.mapping import PredictionDtype
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.table import row_of, table_of
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.step_table import row_of, table_of
+from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.step import (
     MAX_RIVALS,
     Candidate,

@@ -7,8 +7,8 @@ import pytest
 from mapreplay.analysis.diagnosis.diagnosis import diagnose
 from mapreplay.analysis.diagnosis.record import diagnosis_path, record_of, to_json
 from mapreplay.analysis.verify import verify
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.paths import find_logs
+from mapreplay.recorders.log.find import find_logs
+from mapreplay.recorders.log.reader import EpisodeLog
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 ENDS = {

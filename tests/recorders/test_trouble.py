@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from mapreplay.errors import LogError
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.writer import EpisodeWriter
 from recordings import Recorded
 
 NOBODY = 65534
@@ -25,7 +25,7 @@ sys.path.insert(0, sys.argv[1])
 from recordings import three_rooms
 from mapreplay.episode import run_episode
 from mapreplay.errors import LogError
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log.writer import EpisodeWriter
 
 episode = three_rooms(predictor="blur")
 try:

@@ -13,8 +13,8 @@ from mcap.reader import make_reader
 
 from mapreplay.episode import run_episode
 from mapreplay.errors import LogError
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.step import differences
 from recordings import Recorded, record, three_rooms
 
@@ -87,7 +87,7 @@ from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from recordings import three_rooms
 from mapreplay.episode import run_episode
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log.writer import EpisodeWriter
 
 episode = three_rooms()
 writer = EpisodeWriter(Path(sys.argv[2]), episode.header)
@@ -220,7 +220,7 @@ def test_a_full_disk_is_a_clear_error(
 
 def test_chunks_stay_small_on_large_maps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A chunk ends with the step that fills it, even before 20 steps."""
-    monkeypatch.setattr("mapreplay.recorders.writer.CHUNK_BYTES", 3000)
+    monkeypatch.setattr("mapreplay.recorders.log.writer.CHUNK_BYTES", 3000)
     recorded = record(tmp_path, three_rooms(max_steps=30))
     log = EpisodeLog(recorded.path)
     assert [differences(a, b) for a, b in zip(log, recorded.steps, strict=True)] == [[]] * 31

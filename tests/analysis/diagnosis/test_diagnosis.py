@@ -34,8 +34,8 @@ from mapreplay.errors import LogError
 from mapreplay.foreign import ForeignEpisode, unknown_floor_plan
 from mapreplay.grid import OCCUPIED, UNKNOWN, Cell
 from mapreplay.mapping import PredictionDtype, Thresholds, fuse, quantize
-from mapreplay.recorders.log import EpisodeLog
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.step import Outcome
 from sealing import DOOR, LEFT_ROOM, TWO_ROOMS, always, episode, recorded, until
 

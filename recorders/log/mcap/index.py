@@ -13,8 +13,8 @@ from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, MetadataIndex
 from mcap.writer import MCAP0_MAGIC
 
-from mapreplay.recorders.container import Channels, read_records, stream
-from mapreplay.recorders.limits import MAX_INDEX_BYTES, MAX_NAMES, check_count, check_size
+from mapreplay.recorders.log.limits import MAX_INDEX_BYTES, MAX_NAMES, check_count, check_size
+from mapreplay.recorders.log.mcap.reader import Channels, read_records, stream
 
 _FOOTER: Final = struct.Struct("<BQQQI")
 _DATA_END: Final = struct.Struct("<BQI")

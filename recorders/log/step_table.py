@@ -10,8 +10,8 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-from mapreplay.recorders.limits import MAX_ROW_BYTES, TABLE_BYTES
-from mapreplay.recorders.parquet import check_pages
+from mapreplay.recorders.log.limits import MAX_ROW_BYTES, TABLE_BYTES
+from mapreplay.recorders.log.parquet import check_pages
 from mapreplay.step import Step, StepMetrics
 
 if TYPE_CHECKING:

@@ -10,25 +10,25 @@ from types import TracebackType
 from typing import BinaryIO, Final, Self
 
 from mapreplay.errors import LogError
-from mapreplay.recorders import table
-from mapreplay.recorders.container_writer import ContainerWriter
-from mapreplay.recorders.limits import MAX_STEP_BYTES, MAX_STEPS
-from mapreplay.recorders.locking import is_at, is_locked, lock, move
-from mapreplay.recorders.messages import (
-    Encoded,
-    Topic,
-    check_geometry,
-    encode_step,
-    encode_truth,
-)
-from mapreplay.recorders.metadata import (
+from mapreplay.recorders.log import step_table as table
+from mapreplay.recorders.log.header import (
     EPISODE_RECORD,
     NO_STEPS,
     OUTCOME_RECORD,
     episode_pairs,
     outcome_pairs,
 )
-from mapreplay.recorders.schemas import MESSAGE_ENCODING, SCHEMA_ENCODING, schema_text
+from mapreplay.recorders.log.limits import MAX_STEP_BYTES, MAX_STEPS
+from mapreplay.recorders.log.lock import is_at, is_locked, lock, move
+from mapreplay.recorders.log.mcap.writer import ContainerWriter
+from mapreplay.recorders.log.messages import (
+    Encoded,
+    Topic,
+    check_geometry,
+    encode_step,
+    encode_truth,
+)
+from mapreplay.recorders.log.schemas import MESSAGE_ENCODING, SCHEMA_ENCODING, schema_text
 from mapreplay.step import FIRST_STAMP_NS, EpisodeHeader, Step
 
 STEPS_A_CHUNK: Final = 20
@@ -108,7 +108,7 @@ class EpisodeWriter:
 
         Raises:
             LogError: the file cannot be written, or a log with this step could not be read
-                back (`mapreplay.recorders.limits`).
+                back (`mapreplay.recorders.log.limits`).
             ValueError: `step` does not follow the last one.
         """
         if step.index >= MAX_STEPS:

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mapreplay.errors import LogError
-from mapreplay.recorders.locking import is_locked
-from mapreplay.recorders.log import EpisodeLog, SalvagedLog
-from mapreplay.recorders.writer import EpisodeWriter
+from mapreplay.recorders.log.lock import is_locked
+from mapreplay.recorders.log.reader import EpisodeLog, SalvagedLog
+from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.step import Step
 
 

@@ -1,6 +1,6 @@
 """Reading MCAP files as we need them: checked whole, a chunk at a time, also when they end early.
 
-Sizes that a file claims are compared with the file, and with `mapreplay.recorders.limits`,
+Sizes that a file claims are compared with the file, and with `mapreplay.recorders.log.limits`,
 before anything is allocated.
 """
 
@@ -18,7 +18,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
-from mapreplay.recorders.limits import (
+from mapreplay.recorders.log.limits import (
     MAX_CHUNK_BYTES,
     MAX_MESSAGES_A_CHUNK,
     MAX_METADATA_BYTES,
@@ -26,8 +26,8 @@ from mapreplay.recorders.limits import (
     check_count,
     check_size,
 )
-from mapreplay.recorders.messages import Topic
-from mapreplay.recorders.schemas import MESSAGE_ENCODING
+from mapreplay.recorders.log.messages import Topic
+from mapreplay.recorders.log.schemas import MESSAGE_ENCODING
 
 _PREFIX: Final = struct.Struct("<BQ")
 _MESSAGE: Final = struct.Struct("<HIQQ")

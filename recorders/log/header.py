@@ -3,7 +3,7 @@
 ``mapreplay.episode`` is written first, so that unfinished files have it; it carries a
 checksum of its own, because MCAP's cover metadata only in finished files.
 ``mapreplay.outcome`` is written last; its outcome is empty in a recovered log, whose end is
-lost (see `mapreplay.recorders.recover`).
+lost (see `mapreplay.recorders.log.recover`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from mapreplay.config import EpisodeConfig, describe
 from mapreplay.errors import LogError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.grid import Cell
-from mapreplay.recorders.limits import MAX_STEPS
+from mapreplay.recorders.log.limits import MAX_STEPS
 from mapreplay.step import OURS, Branch, EpisodeHeader, Outcome, PredictorIdentity, Step
 
 FORMAT_VERSION: Final = 1

@@ -20,8 +20,8 @@ from mapreplay.errors import LogError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.grid import UNKNOWN, Cell, Grid, Origin, Quantized
 from mapreplay.mapping import dequantize
-from mapreplay.recorders import cdr
-from mapreplay.recorders.limits import check_count
+from mapreplay.recorders.log import cdr
+from mapreplay.recorders.log.limits import check_count
 from mapreplay.sensor import Hits, Sensor, hits_from_ranges, ranges
 from mapreplay.step import (
     FIRST_STAMP_NS,

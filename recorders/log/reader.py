@@ -19,8 +19,18 @@ from mcap.opcode import Opcode
 from mapreplay.errors import LogError, MapreplayError
 from mapreplay.floorplan import explorable
 from mapreplay.grid import Grid, Mask, Quantized
-from mapreplay.recorders import table
-from mapreplay.recorders.container import (
+from mapreplay.recorders.log import step_table as table
+from mapreplay.recorders.log.header import (
+    EPISODE_RECORD,
+    OUTCOME_RECORD,
+    Pairs,
+    check_episode_pairs,
+    header_of,
+    summary_of,
+)
+from mapreplay.recorders.log.limits import MAX_NAMES, check_count
+from mapreplay.recorders.log.mcap.index import Index, read_index
+from mapreplay.recorders.log.mcap.reader import (
     Channels,
     is_mcap,
     read_attachment,
@@ -30,23 +40,13 @@ from mapreplay.recorders.container import (
     read_records,
     unpack,
 )
-from mapreplay.recorders.index import Index, read_index
-from mapreplay.recorders.limits import MAX_NAMES, check_count
-from mapreplay.recorders.messages import (
+from mapreplay.recorders.log.messages import (
     Messages,
     Topic,
     decode_map,
     decode_prediction,
     decode_step,
     decode_truth,
-)
-from mapreplay.recorders.metadata import (
-    EPISODE_RECORD,
-    OUTCOME_RECORD,
-    Pairs,
-    check_episode_pairs,
-    header_of,
-    summary_of,
 )
 from mapreplay.step import FIRST_STAMP_NS, STEP_NS, EpisodeHeader, Outcome, Step
 
@@ -214,7 +214,7 @@ class EpisodeLog:
             raise ValueError(f"step {k} is missing")
 
     def table(self) -> pl.DataFrame:
-        """The scalars of all steps; see `mapreplay.recorders.table.table_of`.
+        """The scalars of all steps; see `mapreplay.recorders.log.step_table.table_of`.
 
         Read from the attachment, or for an unfinished log from its steps.
 

@@ -1,0 +1,1 @@
+"""A log: one episode as one MCAP file, written, read, found and recovered."""

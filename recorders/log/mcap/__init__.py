@@ -1,0 +1,1 @@
+"""The container: MCAP files, read and written as a log needs them."""
