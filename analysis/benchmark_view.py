@@ -25,7 +25,7 @@ from mapreplay.floorplans import open_source
 from mapreplay.predictors import Predictor
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.writer import EpisodeWriter
-from mapreplay.recorders.replay import Replay
+from mapreplay.recorders.pictures.replay import Replay
 from mapreplay.recorders.rerun_view import save_rrd, viewer_program
 
 _SMALLEST: Final = 64

@@ -27,8 +27,8 @@ from mapreplay.errors import LogError, UsageError
 from mapreplay.recorders.log.header import episode_pairs
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.writer import EpisodeWriter
-from mapreplay.recorders.picture import MapPainter
-from mapreplay.recorders.scene import MapView
+from mapreplay.recorders.pictures.layers import MapView
+from mapreplay.recorders.pictures.painter import MapPainter
 
 SCHEMA: Final = "mapreplay.bundle/1"
 LOG_NAME: Final = "episode.mcap"

@@ -23,8 +23,8 @@ from mapreplay.analysis.wording import counted, p_value, percent, share, with_in
 from mapreplay.config import MapKind
 from mapreplay.floorplans.preview import encode_png
 from mapreplay.recorders.log.reader import EpisodeLog
-from mapreplay.recorders.picture import MapPainter
-from mapreplay.recorders.scene import MapView
+from mapreplay.recorders.pictures.layers import MapView
+from mapreplay.recorders.pictures.painter import MapPainter
 
 EACH: Final = 2
 """Worst and best floor plans that are shown, of each group."""

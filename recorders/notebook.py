@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from mapreplay.errors import MapreplayError
 from mapreplay.recorders.log.reader import EpisodeLog
-from mapreplay.recorders.replay import replays_of
+from mapreplay.recorders.pictures.replay import replays_of
 from mapreplay.recorders.rerun_layout import layout
 from mapreplay.recorders.rerun_view import new_recording, panes_of, send
 

@@ -12,11 +12,8 @@ import rerun as rr
 
 from mapreplay.floorplan import explorable
 from mapreplay.recorders import rerun_static
-from mapreplay.recorders.marks import Mark, mark_colours
-from mapreplay.recorders.palette import State
-from mapreplay.recorders.replay import Replay
-from mapreplay.recorders.rerun_layout import TIMELINE, Entity, curve_path
-from mapreplay.recorders.scene import (
+from mapreplay.recorders.pictures.annotations import Mark, mark_colours
+from mapreplay.recorders.pictures.layers import (
     COMPARED,
     cell_classes,
     curves,
@@ -29,6 +26,9 @@ from mapreplay.recorders.scene import (
     state_of,
     three_digits,
 )
+from mapreplay.recorders.pictures.palette import State
+from mapreplay.recorders.pictures.replay import Replay
+from mapreplay.recorders.rerun_layout import TIMELINE, Entity, curve_path
 from mapreplay.step import Candidate, EpisodeHeader, EventKind, Step, StepProfile
 
 BLOCK_STEPS: Final = 100

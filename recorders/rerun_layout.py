@@ -10,8 +10,7 @@ from typing import Final
 import rerun as rr
 import rerun.blueprint as rrb
 
-from mapreplay.recorders.palette import Curve
-from mapreplay.recorders.scene import (
+from mapreplay.recorders.pictures.layers import (
     COMPARED,
     MapView,
     curves,
@@ -19,6 +18,7 @@ from mapreplay.recorders.scene import (
     has_truth,
     map_views,
 )
+from mapreplay.recorders.pictures.palette import Curve
 from mapreplay.step import EpisodeHeader
 
 TIMELINE: Final = "step"

@@ -10,10 +10,11 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
-from mapreplay.recorders.legend import draw_legend, entries, lines_of
-from mapreplay.recorders.lettering import Sheet
-from mapreplay.recorders.marks import Mark
-from mapreplay.recorders.palette import (
+from mapreplay.recorders.pictures.annotations import Mark
+from mapreplay.recorders.pictures.canvas import Sheet
+from mapreplay.recorders.pictures.layers import COMPARED, curves, has_truth
+from mapreplay.recorders.pictures.legend import draw_legend, entries, lines_of
+from mapreplay.recorders.pictures.palette import (
     AGENT_COLOUR,
     CELL_COLOURS,
     CURVE_COLOURS,
@@ -30,7 +31,7 @@ from mapreplay.recorders.palette import (
     Curve,
     State,
 )
-from mapreplay.recorders.replay import LETTERS, Replay
+from mapreplay.recorders.pictures.replay import LETTERS, Replay
 from mapreplay.recorders.rerun_layout import (
     LEGEND,
     NOTE,
@@ -40,7 +41,6 @@ from mapreplay.recorders.rerun_layout import (
     Entity,
     curve_path,
 )
-from mapreplay.recorders.scene import COMPARED, curves, has_truth
 from mapreplay.step import EpisodeHeader
 
 _LEGEND_WIDTH: Final = 1240.0

@@ -19,7 +19,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from mapreplay.errors import LogError, MapreplayError, UsageError
-from mapreplay.recorders.replay import LETTERS, Replay, names_of
+from mapreplay.recorders.pictures.replay import LETTERS, Replay, names_of
 from mapreplay.recorders.rerun_columns import EpisodeColumns, send_episode, send_scores
 from mapreplay.recorders.rerun_layout import TIMELINE, Pane, application_id, layout
 from mapreplay.recorders.rerun_static import send_legend, send_parting

@@ -8,7 +8,7 @@ import numpy as np
 
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, Sealing
 from mapreplay.analysis.wording import counted
-from mapreplay.recorders.marks import Mark
+from mapreplay.recorders.pictures.annotations import Mark
 from mapreplay.step import Cells
 
 CULPRIT: Final = "culprit"

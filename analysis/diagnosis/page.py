@@ -29,10 +29,10 @@ from mapreplay.analysis.page import (
     Table,
 )
 from mapreplay.recorders.log.reader import EpisodeLog
-from mapreplay.recorders.marks import mark_colours
-from mapreplay.recorders.palette import DARK, LIGHT, Theme
-from mapreplay.recorders.picture import MapPainter
-from mapreplay.recorders.scene import MapView
+from mapreplay.recorders.pictures.annotations import mark_colours
+from mapreplay.recorders.pictures.layers import MapView
+from mapreplay.recorders.pictures.painter import MapPainter
+from mapreplay.recorders.pictures.palette import DARK, LIGHT, Theme
 from mapreplay.step import Cells, Step
 
 SHOWN: Final = 3

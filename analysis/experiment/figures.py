@@ -32,7 +32,9 @@ from mapreplay.analysis.experiment.table import (
     reading_order,
 )
 from mapreplay.analysis.statistics import mean_interval
-from mapreplay.recorders.palette import (
+from mapreplay.recorders.pictures.layers import MapView
+from mapreplay.recorders.pictures.painter import MapPainter
+from mapreplay.recorders.pictures.palette import (
     BLUE,
     GREEN,
     GREY,
@@ -42,8 +44,6 @@ from mapreplay.recorders.palette import (
     VERMILION,
     Colour,
 )
-from mapreplay.recorders.picture import MapPainter
-from mapreplay.recorders.scene import MapView
 
 _FLOOR: Final = -1.0
 """Reductions below this are drawn here, and counted."""

@@ -21,9 +21,9 @@ import numpy as np
 from PIL import Image
 from rerun.experimental import ViewerClient
 
-from mapreplay.recorders.film import few_colours
 from mapreplay.recorders.log.reader import EpisodeLog
-from mapreplay.recorders.replay import replays_of
+from mapreplay.recorders.pictures.animation import few_colours
+from mapreplay.recorders.pictures.replay import replays_of
 from mapreplay.recorders.rerun_view import save_rrd, viewer_program
 
 NOTICES_SECONDS = 10

@@ -14,10 +14,10 @@ from mapreplay.cli.output import ForceOption, note
 from mapreplay.errors import UsageError
 
 if TYPE_CHECKING:
-    from mapreplay.recorders.frame import Film
     from mapreplay.recorders.log.reader import EpisodeLog
-    from mapreplay.recorders.marks import Mark
-    from mapreplay.recorders.replay import Replay
+    from mapreplay.recorders.pictures.annotations import Mark
+    from mapreplay.recorders.pictures.dashboard import Film
+    from mapreplay.recorders.pictures.replay import Replay
 
 
 class ThemeName(StrEnum):
@@ -82,7 +82,7 @@ def view(
         film = _film([opened[number] for number in chosen], size, theme, marks)
         _draw(film, at, png, gif, mp4, every, force=force)
         return
-    from mapreplay.recorders.replay import replays_of
+    from mapreplay.recorders.pictures.replay import replays_of
     from mapreplay.recorders.rerun_view import require_display_here
 
     if not asked:
@@ -101,7 +101,7 @@ def _open(paths: list[Path]) -> list[EpisodeLog]:
 
 def _chosen(maps: str | None, count: int) -> list[int]:
     """The numbers of the logs whose maps are shown."""
-    from mapreplay.recorders.replay import LETTERS
+    from mapreplay.recorders.pictures.replay import LETTERS
 
     if maps is None:
         return list(range(min(2, count)))
@@ -134,8 +134,8 @@ def _diagnosed(logs: list[EpisodeLog], chosen: list[int]) -> tuple[list[list[Mar
 
 
 def _film(logs: list[EpisodeLog], size: str, theme: ThemeName, marks: list[list[Mark]]) -> Film:
-    from mapreplay.recorders.frame import Film, Filmed
-    from mapreplay.recorders.palette import THEMES
+    from mapreplay.recorders.pictures.dashboard import Film, Filmed
+    from mapreplay.recorders.pictures.palette import THEMES
 
     match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", size)
     if match is None:
@@ -156,7 +156,7 @@ def _draw(
     *,
     force: bool,
 ) -> None:
-    from mapreplay.recorders.film import save_gif, save_mp4, save_png
+    from mapreplay.recorders.pictures.animation import save_gif, save_mp4, save_png
 
     if png:
         save_png(png, film, film.last if step is None else step, force=force)

@@ -9,7 +9,7 @@ import pytest
 
 from commands import Run
 from mapreplay.recorders.log.reader import EpisodeLog
-from mapreplay.recorders.scene import first_parting
+from mapreplay.recorders.pictures.layers import first_parting
 
 SAMPLES = Path(__file__).parents[2] / "samples" / "episodes"
 OBSERVED = SAMPLES / "procedural-60002__nearest__observed-observed__s1.mcap"

@@ -13,13 +13,13 @@ import pytest
 
 from mapreplay.errors import UsageError
 from mapreplay.foreign import ForeignEpisode, unknown_floor_plan
-from mapreplay.recorders.film import few_colours
-from mapreplay.recorders.frame import Film, Filmed
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.writer import EpisodeWriter
-from mapreplay.recorders.marks import Mark
-from mapreplay.recorders.palette import CELL_COLOURS, DARK, LIGHT, YELLOW, Theme
-from mapreplay.recorders.picture import Picture
+from mapreplay.recorders.pictures.animation import few_colours
+from mapreplay.recorders.pictures.annotations import Mark
+from mapreplay.recorders.pictures.dashboard import Film, Filmed
+from mapreplay.recorders.pictures.painter import Picture
+from mapreplay.recorders.pictures.palette import CELL_COLOURS, DARK, LIGHT, YELLOW, Theme
 from recordings import record, two_rooms
 
 GOLDEN = Path(__file__).parent / "golden_pictures"

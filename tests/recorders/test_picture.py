@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 
 from drawing import draw
 from mapreplay.episode import Episode, run_episode
-from mapreplay.recorders.marks import Mark, mark_colours, shown_at
-from mapreplay.recorders.palette import (
+from mapreplay.recorders.pictures.annotations import Mark, mark_colours, shown_at
+from mapreplay.recorders.pictures.layers import MapView
+from mapreplay.recorders.pictures.painter import MapPainter, Picture, enlarge
+from mapreplay.recorders.pictures.palette import (
     AGENT_COLOUR,
     CELL_COLOURS,
     FRONTIER_COLOUR,
@@ -19,8 +21,6 @@ from mapreplay.recorders.palette import (
     CellClass,
     viridis,
 )
-from mapreplay.recorders.picture import MapPainter, Picture, enlarge
-from mapreplay.recorders.scene import MapView
 from mapreplay.step import Step
 from recordings import two_rooms
 

@@ -7,7 +7,7 @@ import pytest
 
 from mapreplay.errors import UsageError
 from mapreplay.recorders.log.reader import EpisodeLog
-from mapreplay.recorders.replay import names_of, replays_of
+from mapreplay.recorders.pictures.replay import names_of, replays_of
 from mapreplay.step import EpisodeHeader
 from recordings import two_rooms
 

@@ -26,17 +26,17 @@ from mapreplay.episode import Episode, prepare_episode, run_episode
 from mapreplay.errors import LogError, UsageError
 from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from mapreplay.recorders import rerun_columns, rerun_view
-from mapreplay.recorders.marks import Mark
-from mapreplay.recorders.palette import (
+from mapreplay.recorders.pictures.annotations import Mark
+from mapreplay.recorders.pictures.layers import cell_classes, decision_words, error_classes, rays_of
+from mapreplay.recorders.pictures.palette import (
     AGENT_COLOUR,
     FRONTIER_COLOUR,
     RIVALS_COLOUR,
     CellClass,
 )
-from mapreplay.recorders.replay import Replay
+from mapreplay.recorders.pictures.replay import Replay
 from mapreplay.recorders.rerun_columns import send_episode
 from mapreplay.recorders.rerun_view import LiveView, WebServer, save_rrd, serve_web
-from mapreplay.recorders.scene import cell_classes, decision_words, error_classes, rays_of
 from mapreplay.step import Step
 from viewer import (
     LATTICE,

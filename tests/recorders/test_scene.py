@@ -13,8 +13,7 @@ from mapreplay.episode import prepare_episode, run_episode
 from mapreplay.floorplan import explorable
 from mapreplay.foreign import ForeignEpisode, unknown_floor_plan
 from mapreplay.grid import Cell
-from mapreplay.recorders.palette import CellClass, Curve, State
-from mapreplay.recorders.scene import (
+from mapreplay.recorders.pictures.layers import (
     MapView,
     curves,
     decision_words,
@@ -25,6 +24,7 @@ from mapreplay.recorders.scene import (
     rays_of,
     state_of,
 )
+from mapreplay.recorders.pictures.palette import CellClass, Curve, State
 from mapreplay.step import Candidate, Decision, Mode, Outcome, Step
 from recordings import two_rooms
 

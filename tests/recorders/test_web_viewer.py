@@ -20,9 +20,9 @@ import pytest
 
 from mapreplay.episode import run_episode
 from mapreplay.recorders import rerun_view
-from mapreplay.recorders.replay import Replay
+from mapreplay.recorders.pictures.layers import cell_classes
+from mapreplay.recorders.pictures.replay import Replay
 from mapreplay.recorders.rerun_view import WebServer, serve_web
-from mapreplay.recorders.scene import cell_classes
 from recordings import three_rooms
 from viewer import agreement, controls, seen_classes
 

@@ -14,8 +14,9 @@ import numpy as np
 from PIL import Image
 
 from mapreplay.errors import LogError
-from mapreplay.recorders.frame import Film
-from mapreplay.recorders.palette import (
+from mapreplay.recorders.pictures.dashboard import Film
+from mapreplay.recorders.pictures.painter import Picture
+from mapreplay.recorders.pictures.palette import (
     CELL_COLOURS,
     CURVE_COLOURS,
     DARK,
@@ -25,7 +26,6 @@ from mapreplay.recorders.palette import (
     YELLOW,
     viridis,
 )
-from mapreplay.recorders.picture import Picture
 
 FRAMES_PER_SECOND: Final = 10.0
 _LAST_SECONDS: Final = 2.0

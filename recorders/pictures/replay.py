@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from mapreplay.errors import UsageError
-from mapreplay.recorders.marks import Mark
-from mapreplay.recorders.palette import Curve
-from mapreplay.recorders.scene import first_parting
+from mapreplay.recorders.pictures.annotations import Mark
+from mapreplay.recorders.pictures.layers import first_parting
+from mapreplay.recorders.pictures.palette import Curve
 from mapreplay.step import EpisodeHeader, Step
 
 if TYPE_CHECKING:

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from PIL import ImageFont
 
-from mapreplay.recorders.palette import Colour
-from mapreplay.recorders.picture import Picture
+from mapreplay.recorders.pictures.painter import Picture
+from mapreplay.recorders.pictures.palette import Colour
 
 _FONTS: Final = Path(mpl.get_data_path()) / "fonts" / "ttf"
 _SHIFT: Final = 4

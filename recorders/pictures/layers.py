@@ -14,7 +14,7 @@ import numpy.typing as npt
 from mapreplay.grid import FREE, OCCUPIED, Grid, Mask, Quantized
 from mapreplay.mapping import dequantize
 from mapreplay.predictors import NoPredictor
-from mapreplay.recorders.palette import CellClass, Curve, State
+from mapreplay.recorders.pictures.palette import CellClass, Curve, State
 from mapreplay.step import (
     Candidate,
     Cells,

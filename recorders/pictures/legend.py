@@ -9,9 +9,10 @@ from typing import Final
 
 import numpy as np
 
-from mapreplay.recorders.lettering import Sheet
-from mapreplay.recorders.marks import Mark, mark_colours
-from mapreplay.recorders.palette import (
+from mapreplay.recorders.pictures.annotations import Mark, mark_colours
+from mapreplay.recorders.pictures.canvas import Sheet
+from mapreplay.recorders.pictures.layers import has_prediction, has_truth
+from mapreplay.recorders.pictures.palette import (
     AGENT_COLOUR,
     CELL_COLOURS,
     FRONTIER_COLOUR,
@@ -24,7 +25,6 @@ from mapreplay.recorders.palette import (
     Theme,
     viridis,
 )
-from mapreplay.recorders.scene import has_prediction, has_truth
 from mapreplay.step import EpisodeHeader
 
 LINE: Final = 20.0

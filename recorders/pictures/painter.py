@@ -16,8 +16,15 @@ import numpy.typing as npt
 
 from mapreplay.floorplan import explorable
 from mapreplay.grid import Mask
-from mapreplay.recorders.marks import Mark, mark_colours, shown_at
-from mapreplay.recorders.palette import (
+from mapreplay.recorders.pictures.annotations import Mark, mark_colours, shown_at
+from mapreplay.recorders.pictures.layers import (
+    MapView,
+    cell_classes,
+    display_probability,
+    error_classes,
+    rays_of,
+)
+from mapreplay.recorders.pictures.palette import (
     AGENT_COLOUR,
     CELL_COLOURS,
     FRONTIER_COLOUR,
@@ -29,13 +36,6 @@ from mapreplay.recorders.palette import (
     Colour,
     class_colours,
     viridis,
-)
-from mapreplay.recorders.scene import (
-    MapView,
-    cell_classes,
-    display_probability,
-    error_classes,
-    rays_of,
 )
 from mapreplay.step import Cells, EpisodeHeader, Step
 

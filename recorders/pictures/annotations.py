@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from mapreplay.recorders.palette import MARK_COLOURS, Colour
+from mapreplay.recorders.pictures.palette import MARK_COLOURS, Colour
 from mapreplay.step import Cells
 
 

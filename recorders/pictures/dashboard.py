@@ -14,22 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from mapreplay.errors import UsageError
-from mapreplay.recorders.legend import LINE, draw_legend, entries, lines_of
-from mapreplay.recorders.lettering import Sheet
-from mapreplay.recorders.marks import Mark, shown_at
-from mapreplay.recorders.palette import (
-    CURVE_COLOURS,
-    EPISODE_COLOURS,
-    LIGHT,
-    STATE_COLOURS,
-    Colour,
-    Curve,
-    State,
-    Theme,
-)
-from mapreplay.recorders.picture import MapPainter, Picture
-from mapreplay.recorders.replay import Series, names_of
-from mapreplay.recorders.scene import (
+from mapreplay.recorders.pictures.annotations import Mark, shown_at
+from mapreplay.recorders.pictures.canvas import Sheet
+from mapreplay.recorders.pictures.layers import (
     COMPARED,
     MapView,
     curves,
@@ -40,6 +27,19 @@ from mapreplay.recorders.scene import (
     state_of,
     three_digits,
 )
+from mapreplay.recorders.pictures.legend import LINE, draw_legend, entries, lines_of
+from mapreplay.recorders.pictures.painter import MapPainter, Picture
+from mapreplay.recorders.pictures.palette import (
+    CURVE_COLOURS,
+    EPISODE_COLOURS,
+    LIGHT,
+    STATE_COLOURS,
+    Colour,
+    Curve,
+    State,
+    Theme,
+)
+from mapreplay.recorders.pictures.replay import Series, names_of
 from mapreplay.step import Cells, Decision, EpisodeHeader, Event, Step
 
 if TYPE_CHECKING:

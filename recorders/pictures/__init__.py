@@ -1,0 +1,1 @@
+"""Pictures of a step and of an episode, drawn without a viewer."""
