@@ -26,7 +26,7 @@ from mapreplay.predictors import Predictor
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.recorders.pictures.replay import Replay
-from mapreplay.recorders.rerun_view import save_rrd, viewer_program
+from mapreplay.recorders.viewer.view import save_rrd, viewer_program
 
 _SMALLEST: Final = 64
 """Cells a side of a procedural floor plan."""

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mapreplay.foreign import ForeignEpisode, unknown_floor_plan
     from mapreplay.recorders.log.reader import EpisodeLog
     from mapreplay.recorders.log.writer import EpisodeWriter
-    from mapreplay.recorders.notebook import show
+    from mapreplay.recorders.viewer.notebook import show
     from mapreplay.step import EpisodeHeader, Step
 
 __all__ = [
@@ -51,7 +51,7 @@ _HOMES = {
     "open_source": "mapreplay.floorplans",
     "prepare_episode": "mapreplay.episode",
     "run_episode": "mapreplay.episode",
-    "show": "mapreplay.recorders.notebook",
+    "show": "mapreplay.recorders.viewer.notebook",
     "unknown_floor_plan": "mapreplay.foreign",
 }
 

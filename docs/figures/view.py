@@ -24,7 +24,7 @@ from rerun.experimental import ViewerClient
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.pictures.animation import few_colours
 from mapreplay.recorders.pictures.replay import replays_of
-from mapreplay.recorders.rerun_view import save_rrd, viewer_program
+from mapreplay.recorders.viewer.view import save_rrd, viewer_program
 
 NOTICES_SECONDS = 10
 """How long notices of the viewer's start cover a part of it."""

@@ -83,7 +83,7 @@ def view(
         _draw(film, at, png, gif, mp4, every, force=force)
         return
     from mapreplay.recorders.pictures.replay import replays_of
-    from mapreplay.recorders.rerun_view import require_display_here
+    from mapreplay.recorders.viewer.view import require_display_here
 
     if not asked:
         require_display_here()  # before all the reading
@@ -170,7 +170,7 @@ def _draw(
 def _show(
     replays: list[Replay], step: int | None, save: Path | None, *, web: bool, force: bool
 ) -> None:
-    from mapreplay.recorders.rerun_view import open_viewer, save_rrd, serve_web
+    from mapreplay.recorders.viewer.view import open_viewer, save_rrd, serve_web
 
     if save is not None:
         save_rrd(save, replays, force=force)

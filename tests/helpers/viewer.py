@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from mapreplay.recorders import rerun_view
 from mapreplay.recorders.pictures.palette import CELL_COLOURS, CellClass, viridis
+from mapreplay.recorders.viewer import view as rerun_view
 
 Screenshot = Callable[[int, str], npt.NDArray[np.uint8]]
 """(step, name of a view) -> uint8[h, w, 3], RGB."""

@@ -25,7 +25,6 @@ from mapreplay.config import EpisodeConfig
 from mapreplay.episode import Episode, prepare_episode, run_episode
 from mapreplay.errors import LogError, UsageError
 from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Grid
-from mapreplay.recorders import rerun_columns, rerun_view
 from mapreplay.recorders.pictures.annotations import Mark
 from mapreplay.recorders.pictures.layers import cell_classes, decision_words, error_classes, rays_of
 from mapreplay.recorders.pictures.palette import (
@@ -35,8 +34,10 @@ from mapreplay.recorders.pictures.palette import (
     CellClass,
 )
 from mapreplay.recorders.pictures.replay import Replay
-from mapreplay.recorders.rerun_columns import send_episode
-from mapreplay.recorders.rerun_view import LiveView, WebServer, save_rrd, serve_web
+from mapreplay.recorders.viewer import columns as rerun_columns
+from mapreplay.recorders.viewer import view as rerun_view
+from mapreplay.recorders.viewer.columns import send_episode
+from mapreplay.recorders.viewer.view import LiveView, WebServer, save_rrd, serve_web
 from mapreplay.step import Step
 from viewer import (
     LATTICE,

@@ -19,10 +19,10 @@ import numpy.typing as npt
 import pytest
 
 from mapreplay.episode import run_episode
-from mapreplay.recorders import rerun_view
 from mapreplay.recorders.pictures.layers import cell_classes
 from mapreplay.recorders.pictures.replay import Replay
-from mapreplay.recorders.rerun_view import WebServer, serve_web
+from mapreplay.recorders.viewer import view as rerun_view
+from mapreplay.recorders.viewer.view import WebServer, serve_web
 from recordings import three_rooms
 from viewer import agreement, controls, seen_classes
 

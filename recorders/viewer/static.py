@@ -32,7 +32,7 @@ from mapreplay.recorders.pictures.palette import (
     State,
 )
 from mapreplay.recorders.pictures.replay import LETTERS, Replay
-from mapreplay.recorders.rerun_layout import (
+from mapreplay.recorders.viewer.layout import (
     LEGEND,
     NOTE,
     PAPER,

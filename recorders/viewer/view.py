@@ -20,9 +20,9 @@ import rerun.blueprint as rrb
 
 from mapreplay.errors import LogError, MapreplayError, UsageError
 from mapreplay.recorders.pictures.replay import LETTERS, Replay, names_of
-from mapreplay.recorders.rerun_columns import EpisodeColumns, send_episode, send_scores
-from mapreplay.recorders.rerun_layout import TIMELINE, Pane, application_id, layout
-from mapreplay.recorders.rerun_static import send_legend, send_parting
+from mapreplay.recorders.viewer.columns import EpisodeColumns, send_episode, send_scores
+from mapreplay.recorders.viewer.layout import TIMELINE, Pane, application_id, layout
+from mapreplay.recorders.viewer.static import send_legend, send_parting
 from mapreplay.step import EpisodeHeader, Step
 
 if TYPE_CHECKING:

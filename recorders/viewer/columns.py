@@ -11,7 +11,6 @@ import numpy.typing as npt
 import rerun as rr
 
 from mapreplay.floorplan import explorable
-from mapreplay.recorders import rerun_static
 from mapreplay.recorders.pictures.annotations import Mark, mark_colours
 from mapreplay.recorders.pictures.layers import (
     COMPARED,
@@ -28,7 +27,8 @@ from mapreplay.recorders.pictures.layers import (
 )
 from mapreplay.recorders.pictures.palette import State
 from mapreplay.recorders.pictures.replay import Replay
-from mapreplay.recorders.rerun_layout import TIMELINE, Entity, curve_path
+from mapreplay.recorders.viewer import static as rerun_static
+from mapreplay.recorders.viewer.layout import TIMELINE, Entity, curve_path
 from mapreplay.step import Candidate, EpisodeHeader, EventKind, Step, StepProfile
 
 BLOCK_STEPS: Final = 100

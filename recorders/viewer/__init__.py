@@ -1,0 +1,1 @@
+"""Episodes in Rerun: in a window, a browser, a file or a notebook."""
