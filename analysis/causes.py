@@ -11,7 +11,7 @@ import numpy as np
 from mapreplay import plugins
 from mapreplay.analysis.difference import as_text, compare
 from mapreplay.analysis.parting import Layer, Moment, Partings
-from mapreplay.analysis.wording import counted
+from mapreplay.analysis.reporting.wording import counted
 from mapreplay.episode import Past, Travelled, ask, look_around
 from mapreplay.errors import MapreplayError
 from mapreplay.grid import UNKNOWN, Cell

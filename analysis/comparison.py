@@ -19,6 +19,7 @@ import polars as pl
 from mapreplay.analysis.corpus import LoggedEpisode, Place
 from mapreplay.analysis.curves import area, first_reached
 from mapreplay.analysis.groups import Group, Grouping
+from mapreplay.analysis.reporting.wording import counted
 from mapreplay.analysis.significance import (
     McNemar,
     TestResult,
@@ -39,7 +40,6 @@ from mapreplay.analysis.statistics import (
     paired_reduction,
     proportion,
 )
-from mapreplay.analysis.wording import counted
 from mapreplay.config import MapKind
 from mapreplay.errors import MapreplayError, UsageError
 from mapreplay.step import Outcome

@@ -13,7 +13,7 @@ from matplotlib.ticker import PercentFormatter
 
 from mapreplay.analysis.comparison import TIME, Comparison, GroupResult
 from mapreplay.analysis.curves import extended
-from mapreplay.analysis.figures import LINES, MARKERS, Theme, colour
+from mapreplay.analysis.reporting.figures import LINES, MARKERS, Theme, colour
 from mapreplay.analysis.statistics import NEVER
 
 MOST_ROWS: Final = 40

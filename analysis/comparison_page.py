@@ -8,7 +8,6 @@ from typing import Final
 
 import numpy as np
 
-from mapreplay.analysis import page
 from mapreplay.analysis.comparison import (
     TIME,
     Comparison,
@@ -18,8 +17,9 @@ from mapreplay.analysis.comparison import (
 from mapreplay.analysis.comparison_figures import CoverageFigure, IncidenceFigure, PairsFigure
 from mapreplay.analysis.corpus import LoggedEpisode
 from mapreplay.analysis.diff_folders import view_command
-from mapreplay.analysis.figures import Draw, in_the_dark, render
-from mapreplay.analysis.wording import counted, p_value, percent, share, with_interval
+from mapreplay.analysis.reporting import page
+from mapreplay.analysis.reporting.figures import Draw, in_the_dark, render
+from mapreplay.analysis.reporting.wording import counted, p_value, percent, share, with_interval
 from mapreplay.config import MapKind
 from mapreplay.floorplans.preview import encode_png
 from mapreplay.recorders.log.reader import EpisodeLog

@@ -8,7 +8,7 @@ from typing import Final, TypeAlias
 
 from mapreplay.analysis.corpus import LoggedEpisode, PairKey, Place
 from mapreplay.analysis.episodes import UNFINISHED
-from mapreplay.analysis.wording import counted
+from mapreplay.analysis.reporting.wording import counted
 from mapreplay.config import EpisodeConfig
 from mapreplay.errors import MapreplayError, UsageError
 from mapreplay.step import Branch, EpisodeHeader

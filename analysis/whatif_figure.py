@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from mapreplay.analysis.figures import COLOURS, Theme
+from mapreplay.analysis.reporting.figures import COLOURS, Theme
 from mapreplay.analysis.whatif import WhatIf
 
 

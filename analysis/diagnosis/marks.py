@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, Sealing
-from mapreplay.analysis.wording import counted
+from mapreplay.analysis.reporting.wording import counted
 from mapreplay.recorders.pictures.annotations import Mark
 from mapreplay.step import Cells
 

@@ -15,7 +15,7 @@ from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, Sealing
 from mapreplay.analysis.diagnosis.marks import sealing_marks
 from mapreplay.analysis.diagnosis.paragraph import paragraph
 from mapreplay.analysis.diagnosis.taxonomy import KINDS
-from mapreplay.analysis.page import (
+from mapreplay.analysis.reporting.page import (
     Block,
     Columns,
     Command,

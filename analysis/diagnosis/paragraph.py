@@ -10,7 +10,7 @@ from mapreplay.analysis.diagnosis.detect import Ending, NearMissKind
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, Sealing
 from mapreplay.analysis.diagnosis.harms import HarmKind
 from mapreplay.analysis.diagnosis.taxonomy import words
-from mapreplay.analysis.wording import counted
+from mapreplay.analysis.reporting.wording import counted
 
 TOLD: Final = 3
 """Sealings of an episode that are told in full."""

@@ -9,8 +9,8 @@ import polars as pl
 from mapreplay.analysis.diagnosis import corpus
 from mapreplay.analysis.diagnosis.corpus import Rate
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis
+from mapreplay.analysis.reporting.wording import with_interval
 from mapreplay.analysis.statistics import Estimate
-from mapreplay.analysis.wording import with_interval
 
 
 def groups_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:

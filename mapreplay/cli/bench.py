@@ -109,7 +109,7 @@ def worth(
     import polars as pl
 
     from mapreplay.analysis.benchmark import mean_worth, measure_worth
-    from mapreplay.analysis.wording import counted, percent, with_interval
+    from mapreplay.analysis.reporting.wording import counted, percent, with_interval
     from mapreplay.cli.progress import progress_bar
     from mapreplay.predictors import load_predictor
 

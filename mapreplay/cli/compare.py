@@ -103,7 +103,7 @@ def compare(
     )
     if plot is not None:
         from mapreplay.analysis.comparison_figures import Overview
-        from mapreplay.analysis.figures import render
+        from mapreplay.analysis.reporting.figures import render
 
         overview = Overview(result)
         write_file(plot, render(overview, overview.size, form=plot.suffix[1:]), force=force)
@@ -136,7 +136,7 @@ def _text(result: Comparison) -> list[str | Command | pl.DataFrame]:
     import polars as pl
 
     from mapreplay.analysis.comparison import MEASURES
-    from mapreplay.analysis.wording import counted, p_value, percent
+    from mapreplay.analysis.reporting.wording import counted, p_value, percent
 
     plans = len(result.places)
     more = sum(1 + len(SHORT[m.name]) for m in result.measures if m not in MEASURES)

@@ -146,7 +146,7 @@ def _many(of_a: list[LoggedEpisode], of_b: list[LoggedEpisode]) -> _Result:
     from mapreplay.analysis.corpus import pair
     from mapreplay.analysis.diff_folders import diff_pairs, pairs_frame, view_command
     from mapreplay.analysis.pool import default_jobs
-    from mapreplay.analysis.wording import counted
+    from mapreplay.analysis.reporting.wording import counted
     from mapreplay.cli.progress import progress_bar
 
     pairing = pair(of_a, of_b)

@@ -102,7 +102,7 @@ def _check(
 
 def _tell(results: dict[str, Verification]) -> None:
     """The differences, line by line, and the verdict."""
-    from mapreplay.analysis.wording import counted
+    from mapreplay.analysis.reporting.wording import counted
 
     for file, result in results.items():
         for difference in result.differences:

@@ -186,7 +186,7 @@ def _some(values: tuple[float, ...], logged: float) -> list[int]:
 
 
 def _plot(path: Path, log: EpisodeLog, result: WhatIf, step: int, *, force: bool) -> None:
-    from mapreplay.analysis.figures import render
+    from mapreplay.analysis.reporting.figures import render
     from mapreplay.analysis.whatif_figure import HeatMap
 
     config = log.header.at(step).config

@@ -15,13 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
+from mapreplay.analysis.reporting.wording import percent, with_interval
 from mapreplay.analysis.statistics import (
     mean_interval,
     paired_difference,
     paired_reduction,
     restricted_mean_difference,
 )
-from mapreplay.analysis.wording import percent, with_interval
 
 low_file, safe_file, paper_file = (Path(name) for name in sys.argv[1:4])
 low = {row["floor_plan"]: row for row in csv.DictReader(low_file.open())}

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapreplay.analysis.page import (
+from mapreplay.analysis.reporting.page import (
     Block,
     Card,
     Code,

@@ -9,7 +9,7 @@ import pytest
 from drawing import plan
 from fakes import FixedPredictor, NoisyPredictor
 from mapreplay import mapping, scores
-from mapreplay.analysis.figures import DARK, render
+from mapreplay.analysis.reporting.figures import DARK, render
 from mapreplay.analysis.whatif import release, what_if, what_if_frame
 from mapreplay.analysis.whatif_figure import HeatMap
 from mapreplay.config import EpisodeConfig

@@ -311,7 +311,9 @@ class Page:
 
     def html(self) -> str:
         """The page as one HTML document without any external resource."""
-        css = resources.files("mapreplay.analysis").joinpath("page.css").read_text("utf-8")
+        css = (
+            resources.files("mapreplay.analysis.reporting").joinpath("page.css").read_text("utf-8")
+        )
         title = escape(self.title)
         body = "\n".join(block.html() for block in self.blocks)
         return (

@@ -1,0 +1,1 @@
+"""Pages, figures and numbers in words: what every report has in common."""
