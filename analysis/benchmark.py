@@ -15,7 +15,7 @@ from mapreplay.analysis.calibration import (
     score_interval,
 )
 from mapreplay.analysis.experiment.curve import measure_plan
-from mapreplay.analysis.statistics import Estimate, mean_interval
+from mapreplay.analysis.stats.estimates import Estimate, mean_interval
 from mapreplay.config import EpisodeConfig, MapKind
 from mapreplay.episode import prepare_episode, run_episode
 from mapreplay.floorplan import FloorPlan

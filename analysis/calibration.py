@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mapreplay.analysis import kernels
-from mapreplay.analysis.statistics import Estimate, pooled_interval
+from mapreplay.analysis.stats.estimates import Estimate, pooled_interval
 from mapreplay.grid import Grid, Mask, Quantized
 from mapreplay.mapping import Thresholds, dequantize
 

@@ -20,16 +20,7 @@ from mapreplay.analysis.corpus import LoggedEpisode, Place
 from mapreplay.analysis.curves import area, first_reached
 from mapreplay.analysis.groups import Group, Grouping
 from mapreplay.analysis.reporting.wording import counted
-from mapreplay.analysis.significance import (
-    McNemar,
-    TestResult,
-    friedman,
-    holm,
-    mcnemar,
-    sign_flip,
-    signed_rank,
-)
-from mapreplay.analysis.statistics import (
+from mapreplay.analysis.stats.estimates import (
     NEVER,
     Estimate,
     Proportion,
@@ -39,6 +30,15 @@ from mapreplay.analysis.statistics import (
     paired_difference,
     paired_reduction,
     proportion,
+)
+from mapreplay.analysis.stats.significance import (
+    McNemar,
+    TestResult,
+    friedman,
+    holm,
+    mcnemar,
+    sign_flip,
+    signed_rank,
 )
 from mapreplay.config import MapKind
 from mapreplay.errors import MapreplayError, UsageError

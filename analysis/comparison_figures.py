@@ -14,7 +14,7 @@ from matplotlib.ticker import PercentFormatter
 from mapreplay.analysis.comparison import TIME, Comparison, GroupResult
 from mapreplay.analysis.curves import extended
 from mapreplay.analysis.reporting.figures import LINES, MARKERS, Theme, colour
-from mapreplay.analysis.statistics import NEVER
+from mapreplay.analysis.stats.estimates import NEVER
 
 MOST_ROWS: Final = 40
 """Floor plans that are shown by name; more become a scatter plot."""

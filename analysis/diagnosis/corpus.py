@@ -18,7 +18,7 @@ from mapreplay.analysis.diagnosis.detect import Ending, NearMissKind
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, Sealing
 from mapreplay.analysis.diagnosis.harms import HarmKind
 from mapreplay.analysis.diagnosis.taxonomy import KINDS, UNCLASSIFIED
-from mapreplay.analysis.statistics import Estimate, mean_interval
+from mapreplay.analysis.stats.estimates import Estimate, mean_interval
 
 OUT: Final = frozenset({Ending.SEEN, Ending.PREDICTION, Ending.MAPPED})
 """Endings of a sealing after which the episode went on, or was done."""

@@ -10,7 +10,7 @@ from mapreplay.analysis.diagnosis import corpus
 from mapreplay.analysis.diagnosis.corpus import Rate
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis
 from mapreplay.analysis.reporting.wording import with_interval
-from mapreplay.analysis.statistics import Estimate
+from mapreplay.analysis.stats.estimates import Estimate
 
 
 def groups_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:

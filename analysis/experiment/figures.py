@@ -31,7 +31,7 @@ from mapreplay.analysis.experiment.table import (
     plan_reductions,
     reading_order,
 )
-from mapreplay.analysis.statistics import mean_interval
+from mapreplay.analysis.stats.estimates import mean_interval
 from mapreplay.recorders.pictures.layers import MapView
 from mapreplay.recorders.pictures.painter import MapPainter
 from mapreplay.recorders.pictures.palette import (

@@ -9,7 +9,7 @@ from mapreplay.analysis.calibration import calibration_scores, decided, score_in
 from mapreplay.analysis.experiment.curve import OBSERVATIONS, CurveData
 from mapreplay.analysis.experiment.sweep import Setting
 from mapreplay.analysis.experiment.table import PAPER, Summary
-from mapreplay.analysis.statistics import Estimate, mean_interval
+from mapreplay.analysis.stats.estimates import Estimate, mean_interval
 
 SHOWN_OBSERVATIONS = (1, 20, 50, 100, 200, 400)
 UNDEFINED = "-"

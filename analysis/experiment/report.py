@@ -30,7 +30,7 @@ from mapreplay.analysis.experiment.infill import PREFIX as INFILL_PREFIX
 from mapreplay.analysis.experiment.rows import ROWS_FILE, Row, RowFile
 from mapreplay.analysis.experiment.sweep import Setting, read_sweep
 from mapreplay.analysis.experiment.table import Arm, Summary, summarize, summary_frame
-from mapreplay.analysis.statistics import mean_interval
+from mapreplay.analysis.stats.estimates import mean_interval
 from mapreplay.errors import MapreplayError
 
 CAPTIONS: Final = {

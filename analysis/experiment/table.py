@@ -15,8 +15,7 @@ import polars as pl
 
 from mapreplay.analysis.experiment.controls import CONTROLS
 from mapreplay.analysis.experiment.rows import Row
-from mapreplay.analysis.significance import holm, signed_rank
-from mapreplay.analysis.statistics import (
+from mapreplay.analysis.stats.estimates import (
     Estimate,
     align,
     average_runs,
@@ -25,6 +24,7 @@ from mapreplay.analysis.statistics import (
     proportion,
     reductions,
 )
+from mapreplay.analysis.stats.significance import holm, signed_rank
 
 PLANNERS: Final = ("random", "nearest", "cost-utility", "informative-path")
 PAPER: Final = {

@@ -21,7 +21,7 @@ from mapreplay.analysis.limits.predicted import Known, predicted_tour
 from mapreplay.analysis.limits.task import Ints, Task, task_of
 from mapreplay.analysis.limits.tour import Tour, short_tour
 from mapreplay.analysis.pool import map_unordered
-from mapreplay.analysis.statistics import Estimate, mean_interval, paired_reduction
+from mapreplay.analysis.stats.estimates import Estimate, mean_interval, paired_reduction
 from mapreplay.config import EpisodeConfig, MapKind
 from mapreplay.episode import prepare_episode, run_episode
 from mapreplay.errors import MapreplayError

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mapreplay.analysis.statistics import Estimate
+from mapreplay.analysis.stats.estimates import Estimate
 
 UNDEFINED = "-"
 

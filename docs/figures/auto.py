@@ -24,7 +24,7 @@ mpl.use("Agg")
 
 import matplotlib.pyplot as plt
 
-from mapreplay.analysis.statistics import Estimate, mean_interval, paired_reduction, proportion
+from mapreplay.analysis.stats.estimates import Estimate, mean_interval, paired_reduction, proportion
 from mapreplay.config import EpisodeConfig, MapKind
 from mapreplay.episode import chosen_at, prepare_episode, run_episode
 from mapreplay.floorplan import FloorPlan

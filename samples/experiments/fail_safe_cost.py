@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from mapreplay.analysis.reporting.wording import percent, with_interval
-from mapreplay.analysis.statistics import (
+from mapreplay.analysis.stats.estimates import (
     mean_interval,
     paired_difference,
     paired_reduction,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from mapreplay.analysis.significance import (
+from mapreplay.analysis.stats.significance import (
     TestResult,
     friedman,
     holm,

@@ -8,7 +8,7 @@ import numpy.typing as npt
 import pytest
 import scipy.stats
 
-from mapreplay.analysis.statistics import (
+from mapreplay.analysis.stats.estimates import (
     NEVER,
     Estimate,
     align,

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-from mapreplay.analysis.statistics import Values
+from mapreplay.analysis.stats.estimates import Values
 
 EXACT: Final = 13
 """Floor plans up to which all assignments of signs are gone through."""
