@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from mapreplay.analysis.corpus import pair, read_episode
     from mapreplay.analysis.diff import diff_frame, diff_logs
     from mapreplay.analysis.groups import group_episodes
-    from mapreplay.analysis.measurements import measure_log
+    from mapreplay.analysis.metrics.measure import measure_log
+    from mapreplay.analysis.metrics.per_episode import episode_metrics
     from mapreplay.analysis.parting import find_partings
-    from mapreplay.analysis.per_episode import episode_metrics
     from mapreplay.analysis.whatif import what_if, what_if_frame
 
 __all__ = [

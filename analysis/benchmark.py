@@ -8,13 +8,13 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
-from mapreplay.analysis.calibration import (
+from mapreplay.analysis.experiment.curve import measure_plan
+from mapreplay.analysis.metrics.calibration import (
     PredictionCounts,
     calibration_scores,
     decided,
     score_interval,
 )
-from mapreplay.analysis.experiment.curve import measure_plan
 from mapreplay.analysis.stats.estimates import Estimate, mean_interval
 from mapreplay.config import EpisodeConfig, MapKind
 from mapreplay.episode import prepare_episode, run_episode

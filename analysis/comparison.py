@@ -17,8 +17,8 @@ import numpy.typing as npt
 import polars as pl
 
 from mapreplay.analysis.corpus import LoggedEpisode, Place
-from mapreplay.analysis.curves import area, first_reached
 from mapreplay.analysis.groups import Group, Grouping
+from mapreplay.analysis.metrics.curves import area, first_reached
 from mapreplay.analysis.reporting.wording import counted
 from mapreplay.analysis.stats.estimates import (
     NEVER,

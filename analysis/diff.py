@@ -12,7 +12,7 @@ import polars as pl
 
 from mapreplay.analysis.causes import Cause, causes, outcome_name
 from mapreplay.analysis.corpus import LoggedEpisode, read_episode
-from mapreplay.analysis.curves import Curve, first_reached
+from mapreplay.analysis.metrics.curves import Curve, first_reached
 from mapreplay.analysis.parting import Said, find_partings
 from mapreplay.errors import UsageError
 from mapreplay.recorders.log.reader import EpisodeLog

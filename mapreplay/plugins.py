@@ -25,7 +25,7 @@ class Group(StrEnum):
     FLOORPLANS = "mapreplay.floorplans"
     """(rest_of_the_spec: str, resolution: float | None) -> mapreplay.floorplans.FloorPlanSource"""
     METRICS = "mapreplay.metrics"
-    """() -> mapreplay.analysis.metrics.Metric"""
+    """() -> mapreplay.analysis.metrics.registry.Metric"""
 
     @property
     def noun(self) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mapreplay import mapping, scores
-from mapreplay.analysis.calibration import PredictionCounts, count_cells, no_cells
+from mapreplay.analysis.metrics.calibration import PredictionCounts, count_cells, no_cells
 from mapreplay.config import EpisodeConfig, MapKind
 from mapreplay.episode import prepare_episode, run_episode
 from mapreplay.errors import MapreplayError

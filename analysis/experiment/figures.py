@@ -12,13 +12,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from mapreplay.analysis.calibration import (
-    PredictionCounts,
-    calibration_scores,
-    decided,
-    reliability,
-    score_interval,
-)
 from mapreplay.analysis.experiment.controls import CONTROLS
 from mapreplay.analysis.experiment.curve import OBSERVATIONS, CurveData
 from mapreplay.analysis.experiment.example import Example
@@ -30,6 +23,13 @@ from mapreplay.analysis.experiment.table import (
     Summary,
     plan_reductions,
     reading_order,
+)
+from mapreplay.analysis.metrics.calibration import (
+    PredictionCounts,
+    calibration_scores,
+    decided,
+    reliability,
+    score_interval,
 )
 from mapreplay.analysis.stats.estimates import mean_interval
 from mapreplay.recorders.pictures.layers import MapView

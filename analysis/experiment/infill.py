@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from mapreplay.analysis.calibration import distance_from_observed
+from mapreplay.analysis.metrics.calibration import distance_from_observed
 from mapreplay.floorplan import FloorPlan
 from mapreplay.grid import OCCUPIED, UNKNOWN, Grid
 from mapreplay.step import PredictorIdentity

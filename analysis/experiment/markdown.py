@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from mapreplay.analysis.calibration import calibration_scores, decided, score_interval
 from mapreplay.analysis.experiment.curve import OBSERVATIONS, CurveData
 from mapreplay.analysis.experiment.sweep import Setting
 from mapreplay.analysis.experiment.table import PAPER, Summary
+from mapreplay.analysis.metrics.calibration import calibration_scores, decided, score_interval
 from mapreplay.analysis.stats.estimates import Estimate, mean_interval
 
 SHOWN_OBSERVATIONS = (1, 20, 50, 100, 200, 400)

@@ -21,7 +21,6 @@ from typing import Any, Final
 
 from matplotlib.figure import Figure
 
-from mapreplay.analysis.calibration import calibration_scores, decided, reliability
 from mapreplay.analysis.experiment import figures, markdown
 from mapreplay.analysis.experiment.controls import CONTROLS
 from mapreplay.analysis.experiment.curve import OBSERVATIONS, CurveData, load_curve
@@ -30,6 +29,7 @@ from mapreplay.analysis.experiment.infill import PREFIX as INFILL_PREFIX
 from mapreplay.analysis.experiment.rows import ROWS_FILE, Row, RowFile
 from mapreplay.analysis.experiment.sweep import Setting, read_sweep
 from mapreplay.analysis.experiment.table import Arm, Summary, summarize, summary_frame
+from mapreplay.analysis.metrics.calibration import calibration_scores, decided, reliability
 from mapreplay.analysis.stats.estimates import mean_interval
 from mapreplay.errors import MapreplayError
 

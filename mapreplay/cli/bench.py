@@ -138,7 +138,7 @@ def worth(
 
 
 def _columns(row: Worth) -> dict[str, object]:
-    from mapreplay.analysis.calibration import calibration_scores
+    from mapreplay.analysis.metrics.calibration import calibration_scores
 
     scores = calibration_scores(row.counts)
     return {

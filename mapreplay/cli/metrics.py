@@ -26,9 +26,9 @@ from mapreplay.errors import LogError, UsageError
 if TYPE_CHECKING:
     import polars as pl
 
-    from mapreplay.analysis.measure_many import MeasuredLog
-    from mapreplay.analysis.measurements import Scope
-    from mapreplay.analysis.store import Store
+    from mapreplay.analysis.metrics.many import MeasuredLog
+    from mapreplay.analysis.metrics.measure import Scope
+    from mapreplay.analysis.metrics.store import Store
 
 STEP_COLUMNS: Final = ("step", "coverage_observed", "coverage_fused", "correct_coverage_fused",
                        "f1", "iou", "ece_unobserved", "auroc_unobserved")  # fmt: skip
@@ -80,7 +80,7 @@ def metrics(
     the observed ones, and how stable the prediction is. With the default options they are
     compared with what was recorded, bit for bit.
     """
-    from mapreplay.analysis.measurements import Scope
+    from mapreplay.analysis.metrics.measure import Scope
     from mapreplay.recorders.log.find import find_logs
     from mapreplay.scores import UnknownAs
 
@@ -121,7 +121,7 @@ def metrics(
 @contextmanager
 def _store(*, no_cache: bool) -> Iterator[Store]:
     """The cache, or where nothing is kept."""
-    from mapreplay.analysis.store import Store, temporary_store
+    from mapreplay.analysis.metrics.store import Store, temporary_store
     from mapreplay.analysis.user_cache import cache_folder
 
     if no_cache:
@@ -144,7 +144,7 @@ def _measure(
     logs: list[Path], store: Store, scope: Scope, further: list[str], jobs: int | None
 ) -> tuple[list[MeasuredLog], int]:
     """The measured logs in order, and how many could not be read; each is named on stderr."""
-    from mapreplay.analysis.measure_many import MeasuredLog, measure_logs
+    from mapreplay.analysis.metrics.many import MeasuredLog, measure_logs
     from mapreplay.analysis.pool import default_jobs
     from mapreplay.cli.progress import progress_bar
 

@@ -18,7 +18,7 @@ from mapreplay.analysis.branch import (
     past_at,
     prepare_branch,
 )
-from mapreplay.analysis.measurements import measure_log
+from mapreplay.analysis.metrics.measure import measure_log
 from mapreplay.analysis.verify import verify, verify_rerun
 from mapreplay.config import EpisodeConfig
 from mapreplay.episode import prepare_episode, run_episode

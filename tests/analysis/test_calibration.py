@@ -7,7 +7,7 @@ import numpy.typing as npt
 import pytest
 
 from drawing import draw
-from mapreplay.analysis.calibration import (
+from mapreplay.analysis.metrics.calibration import (
     PredictionCounts,
     calibration_scores,
     count_cells,

@@ -10,16 +10,16 @@ import pytest
 from sklearn import metrics as oracle
 
 from drawing import plan
-from mapreplay.analysis.calibration import distance_from_observed
-from mapreplay.analysis.measurements import (
+from mapreplay.analysis.metrics.calibration import distance_from_observed
+from mapreplay.analysis.metrics.measure import (
     SCORES,
     Measurements,
     Scope,
     distance_labels,
     measure_log,
 )
-from mapreplay.analysis.metrics import load_metric
-from mapreplay.analysis.per_episode import episode_metrics
+from mapreplay.analysis.metrics.per_episode import episode_metrics
+from mapreplay.analysis.metrics.registry import load_metric
 from mapreplay.foreign import ForeignEpisode
 from mapreplay.grid import UNKNOWN
 from mapreplay.mapping import dequantize

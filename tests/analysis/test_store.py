@@ -7,10 +7,10 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from mapreplay.analysis.measure_many import MeasuredLog, Unmeasured, measure_logs
-from mapreplay.analysis.measurements import Scope, measure_log
+from mapreplay.analysis.metrics.many import MeasuredLog, Unmeasured, measure_logs
+from mapreplay.analysis.metrics.measure import Scope, measure_log
+from mapreplay.analysis.metrics.store import Store
 from mapreplay.analysis.pool import default_jobs, map_unordered
-from mapreplay.analysis.store import Store
 from mapreplay.errors import LogError, MapreplayError, PluginError
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.scores import UnknownAs

@@ -7,7 +7,6 @@ import pytest
 
 from drawing import plan
 from fakes import ConstantPredictor, FixedPredictor
-from mapreplay.analysis.calibration import calibration_scores
 from mapreplay.analysis.experiment.curve import (
     MAPS,
     OBSERVATIONS,
@@ -15,6 +14,7 @@ from mapreplay.analysis.experiment.curve import (
     measure_curve,
     measure_plan,
 )
+from mapreplay.analysis.metrics.calibration import calibration_scores
 from mapreplay.errors import MapreplayError
 from mapreplay.mapping import Thresholds
 from mapreplay.predictors import NoPredictor

@@ -20,7 +20,7 @@ from typing import Final
 
 import polars as pl
 
-from mapreplay.analysis.measurements import Scope
+from mapreplay.analysis.metrics.measure import Scope
 from mapreplay.analysis.user_cache import code_digest
 from mapreplay.errors import LogError
 

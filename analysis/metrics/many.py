@@ -10,11 +10,11 @@ from typing import TypeAlias
 
 import polars as pl
 
-from mapreplay.analysis.measurements import Scope, measure_log
-from mapreplay.analysis.metrics import load_metric
-from mapreplay.analysis.per_episode import episode_metrics
+from mapreplay.analysis.metrics.measure import Scope, measure_log
+from mapreplay.analysis.metrics.per_episode import episode_metrics
+from mapreplay.analysis.metrics.registry import load_metric
+from mapreplay.analysis.metrics.store import Store, Stored
 from mapreplay.analysis.pool import map_unordered
-from mapreplay.analysis.store import Store, Stored
 from mapreplay.errors import LogError, MapreplayError
 from mapreplay.recorders.log.reader import EpisodeLog
 

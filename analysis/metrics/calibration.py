@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from mapreplay.analysis import kernels
+from mapreplay.analysis.metrics import kernels
 from mapreplay.analysis.stats.estimates import Estimate, pooled_interval
 from mapreplay.grid import Grid, Mask, Quantized
 from mapreplay.mapping import Thresholds, dequantize

@@ -15,14 +15,14 @@ import numpy as np
 import numpy.typing as npt
 import polars as pl
 
-from mapreplay.analysis import kernels
-from mapreplay.analysis.calibration import (
+from mapreplay.analysis.metrics import kernels
+from mapreplay.analysis.metrics.calibration import (
     DISTANCES,
     PredictionCounts,
     count_cells,
     score_columns,
 )
-from mapreplay.analysis.metrics import Metric, guarded
+from mapreplay.analysis.metrics.registry import Metric, guarded
 from mapreplay.episode import Travelled, measure
 from mapreplay.grid import Cell, Grid, Mask, Quantized
 from mapreplay.mapping import certainty

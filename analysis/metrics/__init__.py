@@ -1,0 +1,1 @@
+"""Metrics of logs: of a step, of an episode, of many."""
