@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mapreplay.analysis.comparison import compare, comparison_frame
-    from mapreplay.analysis.corpus import pair, read_episode
     from mapreplay.analysis.diff import diff_frame, diff_logs
+    from mapreplay.analysis.episodes.corpus import pair, read_episode
     from mapreplay.analysis.groups import group_episodes
     from mapreplay.analysis.metrics.measure import measure_log
     from mapreplay.analysis.metrics.per_episode import episode_metrics

@@ -15,8 +15,8 @@ from mapreplay.analysis.comparison import (
     Saving,
 )
 from mapreplay.analysis.comparison_figures import CoverageFigure, IncidenceFigure, PairsFigure
-from mapreplay.analysis.corpus import LoggedEpisode
 from mapreplay.analysis.diff_folders import view_command
+from mapreplay.analysis.episodes.corpus import LoggedEpisode
 from mapreplay.analysis.reporting import page
 from mapreplay.analysis.reporting.figures import Draw, in_the_dark, render
 from mapreplay.analysis.reporting.wording import counted, p_value, percent, share, with_interval

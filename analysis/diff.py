@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 
 from mapreplay.analysis.causes import Cause, causes, outcome_name
-from mapreplay.analysis.corpus import LoggedEpisode, read_episode
+from mapreplay.analysis.episodes.corpus import LoggedEpisode, read_episode
 from mapreplay.analysis.metrics.curves import Curve, first_reached
 from mapreplay.analysis.parting import Said, find_partings
 from mapreplay.errors import UsageError

@@ -9,7 +9,7 @@ from typing import Final
 
 import polars as pl
 
-from mapreplay.analysis.corpus import LoggedEpisode
+from mapreplay.analysis.episodes.corpus import LoggedEpisode
 from mapreplay.analysis.parting import Layer, find_partings
 from mapreplay.analysis.pool import map_unordered
 from mapreplay.errors import MapreplayError

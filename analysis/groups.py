@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
-from mapreplay.analysis.corpus import LoggedEpisode, PairKey, Place
-from mapreplay.analysis.episodes import UNFINISHED
+from mapreplay.analysis.episodes.corpus import LoggedEpisode, PairKey, Place
+from mapreplay.analysis.episodes.summary import UNFINISHED
 from mapreplay.analysis.reporting.wording import counted
 from mapreplay.config import EpisodeConfig
 from mapreplay.errors import MapreplayError, UsageError

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from mapreplay.analysis.comparison import Comparison, compare
-from mapreplay.analysis.corpus import read_episode
+from mapreplay.analysis.episodes.corpus import read_episode
 from mapreplay.analysis.groups import group_episodes
 from mapreplay.recorders.log.find import find_logs
 

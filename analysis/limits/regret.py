@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from functools import lru_cache
 
 from mapreplay.analysis.comparison import Measure, Terms, mapping_time
-from mapreplay.analysis.corpus import LoggedEpisode, Place
+from mapreplay.analysis.episodes.corpus import LoggedEpisode, Place
 from mapreplay.analysis.limits.measure import reference_moves
 from mapreplay.errors import FloorPlanError
 from mapreplay.floorplan import FloorPlan

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import polars as pl
 
     from mapreplay.analysis.comparison import Comparison, Effect, Measure
-    from mapreplay.analysis.corpus import LoggedEpisode
+    from mapreplay.analysis.episodes.corpus import LoggedEpisode
 
 
 GROUP_WIDTH: Final = 20

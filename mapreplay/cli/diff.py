@@ -23,9 +23,9 @@ from mapreplay.errors import MapreplayError, UsageError
 if TYPE_CHECKING:
     import polars as pl
 
-    from mapreplay.analysis.corpus import LoggedEpisode, Pairing
     from mapreplay.analysis.diff import Both, EpisodeDiff
     from mapreplay.analysis.diff_folders import PairDiff
+    from mapreplay.analysis.episodes.corpus import LoggedEpisode, Pairing
 
 DIFFERS: Final = 1
 FAILED: Final = 4
@@ -143,8 +143,8 @@ def _times(times: tuple[Both, ...]) -> pl.DataFrame:
 def _many(of_a: list[LoggedEpisode], of_b: list[LoggedEpisode]) -> _Result:
     import polars as pl
 
-    from mapreplay.analysis.corpus import pair
     from mapreplay.analysis.diff_folders import diff_pairs, pairs_frame, view_command
+    from mapreplay.analysis.episodes.corpus import pair
     from mapreplay.analysis.pool import default_jobs
     from mapreplay.analysis.reporting.wording import counted
     from mapreplay.cli.progress import progress_bar

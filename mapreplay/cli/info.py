@@ -20,7 +20,7 @@ def info(
     """
     import polars as pl
 
-    from mapreplay.analysis.episodes import summarize
+    from mapreplay.analysis.episodes.summary import summarize
 
     opened = open_log(log)
     header, plan = opened.header, opened.header.floor_plan

@@ -11,8 +11,8 @@ from mapreplay.cli.output import note
 from mapreplay.errors import UsageError
 
 if TYPE_CHECKING:
-    from mapreplay.analysis.corpus import LoggedEpisode
-    from mapreplay.analysis.episodes import EpisodeRow
+    from mapreplay.analysis.episodes.corpus import LoggedEpisode
+    from mapreplay.analysis.episodes.summary import EpisodeRow
     from mapreplay.recorders.log.reader import EpisodeLog
 
 
@@ -47,8 +47,8 @@ def read_episodes(
     from mapreplay.recorders.log.find import find_logs
 
     logs = find_logs(paths)  # before the slow imports
-    from mapreplay.analysis.corpus import LoggedEpisode, read_corpus
-    from mapreplay.analysis.episodes import Condition
+    from mapreplay.analysis.episodes.corpus import LoggedEpisode, read_corpus
+    from mapreplay.analysis.episodes.summary import Condition
     from mapreplay.cli.progress import progress_bar
 
     conditions = [Condition.parse(text) for text in where or []]

@@ -17,7 +17,7 @@ def ls(
 ) -> None:
     """List episodes: what was run and how it ended."""
     rows, unreadable = choose(paths, where)
-    from mapreplay.analysis.episodes import brief, episode_frame
+    from mapreplay.analysis.episodes.summary import brief, episode_frame
 
     frame = episode_frame(rows)
     emit(frame, "mapreplay.episodes/1", form, output, text=brief(frame), force=force)

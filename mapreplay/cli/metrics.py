@@ -169,7 +169,7 @@ def _brief(episodes: pl.DataFrame, further: list[str]) -> pl.DataFrame:
     """Narrow enough for a terminal."""
     import polars as pl
 
-    from mapreplay.analysis.episodes import brief
+    from mapreplay.analysis.episodes.summary import brief
 
     frame = brief(episodes).select("floor_plan", "planner", "maps", "outcome", "steps")
     numbers = episodes.select(

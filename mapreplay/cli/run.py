@@ -304,7 +304,7 @@ def _watch(tasks: list[Task]) -> list[Path]:
 
 
 def _print_results(paths: list[Path], form: Format) -> None:
-    from mapreplay.analysis.episodes import brief, episode_frame, episode_row
+    from mapreplay.analysis.episodes.summary import brief, episode_frame, episode_row
 
     frame = episode_frame([episode_row(path) for path in paths])
     emit(frame, "mapreplay.episodes/1", form, text=brief(frame))

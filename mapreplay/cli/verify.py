@@ -41,7 +41,7 @@ def verify(
     """Prove that logs are true: scans, maps, moves, decisions, metrics and outcome."""
     if rerun and rerun_from is not None:
         raise UsageError("verify: choose one of --rerun and --rerun-from")
-    from mapreplay.analysis.episodes import Condition, summarize
+    from mapreplay.analysis.episodes.summary import Condition, summarize
     from mapreplay.recorders.log.find import find_logs
     from mapreplay.recorders.log.reader import EpisodeLog
 

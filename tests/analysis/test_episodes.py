@@ -6,7 +6,7 @@ import math
 import polars as pl
 import pytest
 
-from mapreplay.analysis.episodes import Condition, EpisodeRow, brief, episode_frame
+from mapreplay.analysis.episodes.summary import Condition, EpisodeRow, brief, episode_frame
 from mapreplay.errors import UsageError
 
 ROW = EpisodeRow(

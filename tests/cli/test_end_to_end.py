@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from commands import Run
-from mapreplay.analysis.corpus import pair, read_episode
+from mapreplay.analysis.episodes.corpus import pair, read_episode
 from mapreplay.grid import FREE, UNKNOWN
 from mapreplay.recorders.log.find import find_logs
 from mapreplay.recorders.log.reader import EpisodeLog

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mapreplay.analysis.corpus import LoggedEpisode
-from mapreplay.analysis.episodes import EpisodeRow
+from mapreplay.analysis.episodes.corpus import LoggedEpisode
+from mapreplay.analysis.episodes.summary import EpisodeRow
 from mapreplay.config import EpisodeConfig
 from mapreplay.floorplan import FloorPlan
 from mapreplay.grid import Cell

@@ -1,0 +1,1 @@
+"""Many logs: an episode in a row, and which episodes belong together."""
