@@ -16,9 +16,9 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from mapreplay.analysis.comparison import Comparison, compare
+from mapreplay.analysis.comparison.compare import Comparison, compare
+from mapreplay.analysis.comparison.groups import group_episodes
 from mapreplay.analysis.episodes.corpus import read_episode
-from mapreplay.analysis.groups import group_episodes
 from mapreplay.recorders.log.find import find_logs
 
 FLOOR_PLANS = "procedural:60000-60004"

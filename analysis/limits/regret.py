@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
 
-from mapreplay.analysis.comparison import Measure, Terms, mapping_time
+from mapreplay.analysis.comparison.compare import Measure, Terms, mapping_time
 from mapreplay.analysis.episodes.corpus import LoggedEpisode, Place
 from mapreplay.analysis.limits.measure import reference_moves
 from mapreplay.errors import FloorPlanError

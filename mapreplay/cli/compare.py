@@ -25,7 +25,7 @@ from mapreplay.errors import UsageError
 if TYPE_CHECKING:
     import polars as pl
 
-    from mapreplay.analysis.comparison import Comparison, Effect, Measure
+    from mapreplay.analysis.comparison.compare import Comparison, Effect, Measure
     from mapreplay.analysis.episodes.corpus import LoggedEpisode
 
 
@@ -87,8 +87,8 @@ def compare(
     """
     if plot is not None and plot.suffix not in {".png", ".svg"}:
         raise UsageError(f"--plot {plot}: should end in .png or .svg")
-    from mapreplay.analysis import comparison as of
-    from mapreplay.analysis.groups import group_episodes
+    from mapreplay.analysis.comparison import compare as of
+    from mapreplay.analysis.comparison.groups import group_episodes
     from mapreplay.analysis.pool import default_jobs
     from mapreplay.recorders.log.find import find_logs
 
@@ -102,14 +102,14 @@ def compare(
         grouping, baseline, budget=budget, target=target, test=test, measures=measures
     )
     if plot is not None:
-        from mapreplay.analysis.comparison_figures import Overview
+        from mapreplay.analysis.comparison.figures import Overview
         from mapreplay.analysis.reporting.figures import render
 
         overview = Overview(result)
         write_file(plot, render(overview, overview.size, form=plot.suffix[1:]), force=force)
         note(f"drawn: {plot}")
     if html is not None:
-        from mapreplay.analysis.comparison_page import comparison_page
+        from mapreplay.analysis.comparison.page import comparison_page
 
         write_file(html, comparison_page(result).html().encode(), force=force)
         note(f"written: {html}")
@@ -135,7 +135,7 @@ def _regret(episodes: list[LoggedEpisode], target: float | None) -> Measure:
 def _text(result: Comparison) -> list[str | Command | pl.DataFrame]:
     import polars as pl
 
-    from mapreplay.analysis.comparison import MEASURES
+    from mapreplay.analysis.comparison.compare import MEASURES
     from mapreplay.analysis.reporting.wording import counted, p_value, percent
 
     plans = len(result.places)

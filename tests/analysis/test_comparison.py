@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from episodes import floor_plan, made_up
-from mapreplay.analysis.comparison import TIME, Comparison, compare, comparison_frame
-from mapreplay.analysis.comparison_figures import MOST_ROWS, Overview, PairsFigure
+from mapreplay.analysis.comparison.compare import TIME, Comparison, compare, comparison_frame
+from mapreplay.analysis.comparison.figures import MOST_ROWS, Overview, PairsFigure
+from mapreplay.analysis.comparison.groups import group_episodes
 from mapreplay.analysis.episodes.corpus import LoggedEpisode, pair
-from mapreplay.analysis.groups import group_episodes
 from mapreplay.analysis.reporting.figures import render
 from mapreplay.errors import MapreplayError, UsageError
 from mapreplay.step import Branch

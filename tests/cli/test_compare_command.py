@@ -10,7 +10,7 @@ import pytest
 from commands import Run
 from episodes import made_up
 from mapreplay.analysis.comparison import compare
-from mapreplay.analysis.groups import group_episodes
+from mapreplay.analysis.comparison.groups import group_episodes
 
 SAMPLES = Path(__file__).parents[2] / "samples" / "episodes"
 
@@ -57,7 +57,7 @@ def test_the_page_is_self_contained_and_shows_how_to_go_on(cli: Run, tmp_path: P
 
 
 def test_hostile_names_are_shown_and_not_obeyed() -> None:
-    from mapreplay.analysis.comparison_page import comparison_page
+    from mapreplay.analysis.comparison.page import comparison_page
 
     hostile = '"><script>alert(1)</script>'
     result = compare(group_episodes([made_up(0, 9, planner=hostile)], ["planner"]))

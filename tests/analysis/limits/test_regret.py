@@ -5,9 +5,9 @@ import math
 import pytest
 
 from episodes import floor_plan, made_up
-from mapreplay.analysis.comparison import MEASURES, compare, comparison_frame
-from mapreplay.analysis.comparison_page import comparison_page
-from mapreplay.analysis.groups import group_episodes
+from mapreplay.analysis.comparison.compare import MEASURES, compare, comparison_frame
+from mapreplay.analysis.comparison.groups import group_episodes
+from mapreplay.analysis.comparison.page import comparison_page
 from mapreplay.analysis.limits.regret import REGRET, reference_time, reference_times
 
 

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from mapreplay.analysis.comparison import TIME, Comparison, GroupResult
+from mapreplay.analysis.comparison.compare import TIME, Comparison, GroupResult
 from mapreplay.analysis.metrics.curves import extended
 from mapreplay.analysis.reporting.figures import LINES, MARKERS, Theme, colour
 from mapreplay.analysis.stats.estimates import NEVER

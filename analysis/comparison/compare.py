@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 import polars as pl
 
+from mapreplay.analysis.comparison.groups import Group, Grouping
 from mapreplay.analysis.episodes.corpus import LoggedEpisode, Place
-from mapreplay.analysis.groups import Group, Grouping
 from mapreplay.analysis.metrics.curves import area, first_reached
 from mapreplay.analysis.reporting.wording import counted
 from mapreplay.analysis.stats.estimates import (

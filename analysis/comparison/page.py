@@ -8,13 +8,13 @@ from typing import Final
 
 import numpy as np
 
-from mapreplay.analysis.comparison import (
+from mapreplay.analysis.comparison.compare import (
     TIME,
     Comparison,
     GroupResult,
     Saving,
 )
-from mapreplay.analysis.comparison_figures import CoverageFigure, IncidenceFigure, PairsFigure
+from mapreplay.analysis.comparison.figures import CoverageFigure, IncidenceFigure, PairsFigure
 from mapreplay.analysis.diff_folders import view_command
 from mapreplay.analysis.episodes.corpus import LoggedEpisode
 from mapreplay.analysis.reporting import page
