@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mapreplay.analysis.comparison import compare, comparison_frame
     from mapreplay.analysis.comparison.groups import group_episodes
-    from mapreplay.analysis.diff import diff_frame, diff_logs
+    from mapreplay.analysis.diff.divergence import find_partings
+    from mapreplay.analysis.diff.pair import diff_frame, diff_logs
     from mapreplay.analysis.episodes.corpus import pair, read_episode
     from mapreplay.analysis.metrics.measure import measure_log
     from mapreplay.analysis.metrics.per_episode import episode_metrics
-    from mapreplay.analysis.parting import find_partings
     from mapreplay.analysis.whatif import what_if, what_if_frame
 
 __all__ = [

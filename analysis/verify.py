@@ -19,7 +19,7 @@ import numpy as np
 
 from mapreplay import mapping, plugins
 from mapreplay.analysis.branch import lineage, predictor_of, run_again
-from mapreplay.analysis.difference import Difference, compare
+from mapreplay.analysis.diff.steps import Difference, compare
 from mapreplay.episode import (
     Past,
     Travelled,

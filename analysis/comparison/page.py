@@ -15,7 +15,7 @@ from mapreplay.analysis.comparison.compare import (
     Saving,
 )
 from mapreplay.analysis.comparison.figures import CoverageFigure, IncidenceFigure, PairsFigure
-from mapreplay.analysis.diff_folders import view_command
+from mapreplay.analysis.diff.folders import view_command
 from mapreplay.analysis.episodes.corpus import LoggedEpisode
 from mapreplay.analysis.reporting import page
 from mapreplay.analysis.reporting.figures import Draw, in_the_dark, render

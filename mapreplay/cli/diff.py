@@ -23,8 +23,8 @@ from mapreplay.errors import MapreplayError, UsageError
 if TYPE_CHECKING:
     import polars as pl
 
-    from mapreplay.analysis.diff import Both, EpisodeDiff
-    from mapreplay.analysis.diff_folders import PairDiff
+    from mapreplay.analysis.diff.folders import PairDiff
+    from mapreplay.analysis.diff.pair import Both, EpisodeDiff
     from mapreplay.analysis.episodes.corpus import LoggedEpisode, Pairing
 
 DIFFERS: Final = 1
@@ -80,7 +80,7 @@ def diff(
 def _two(
     a: LoggedEpisode, b: LoggedEpisode
 ) -> tuple[pl.DataFrame, list[str | Command | pl.DataFrame], bool]:
-    from mapreplay.analysis.diff import diff_frame, diff_logs
+    from mapreplay.analysis.diff.pair import diff_frame, diff_logs
     from mapreplay.recorders.log.reader import EpisodeLog
 
     result = diff_logs(EpisodeLog(a.path), EpisodeLog(b.path))
@@ -90,7 +90,7 @@ def _two(
 def _story(a: LoggedEpisode, b: LoggedEpisode, result: EpisodeDiff) -> _Lines:
     import polars as pl
 
-    from mapreplay.analysis.diff_folders import view_command
+    from mapreplay.analysis.diff.folders import view_command
 
     shown: _Lines = [f"A: {a.path}", f"B: {b.path}"]
     if result.identical:
@@ -143,7 +143,7 @@ def _times(times: tuple[Both, ...]) -> pl.DataFrame:
 def _many(of_a: list[LoggedEpisode], of_b: list[LoggedEpisode]) -> _Result:
     import polars as pl
 
-    from mapreplay.analysis.diff_folders import diff_pairs, pairs_frame, view_command
+    from mapreplay.analysis.diff.folders import diff_pairs, pairs_frame, view_command
     from mapreplay.analysis.episodes.corpus import pair
     from mapreplay.analysis.pool import default_jobs
     from mapreplay.analysis.reporting.wording import counted

@@ -121,7 +121,7 @@ def _frame(results: dict[str, Verification]) -> pl.DataFrame:
     """One row a difference that is shown; a log without any has one row."""
     import polars as pl
 
-    from mapreplay.analysis.difference import as_text
+    from mapreplay.analysis.diff.steps import as_text
 
     rows = []
     for file, result in results.items():

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from drawing import plan
-from mapreplay.analysis.causes import rating
-from mapreplay.analysis.diff import diff_frame, diff_logs, rest_of, spans_of
-from mapreplay.analysis.parting import Layer, find_partings
+from mapreplay.analysis.diff.causes import rating
+from mapreplay.analysis.diff.divergence import Layer, find_partings
+from mapreplay.analysis.diff.pair import diff_frame, diff_logs, rest_of, spans_of
 from mapreplay.config import EpisodeConfig
 from mapreplay.episode import prepare_episode, run_episode
 from mapreplay.errors import UsageError

@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 
 from mapreplay import plugins
-from mapreplay.analysis.difference import as_text, compare
-from mapreplay.analysis.parting import Layer, Moment, Partings
+from mapreplay.analysis.diff.divergence import Layer, Moment, Partings
+from mapreplay.analysis.diff.steps import as_text, compare
 from mapreplay.analysis.reporting.wording import counted
 from mapreplay.episode import Past, Travelled, ask, look_around
 from mapreplay.errors import MapreplayError

@@ -9,8 +9,8 @@ from typing import Final
 
 import polars as pl
 
+from mapreplay.analysis.diff.divergence import Layer, find_partings
 from mapreplay.analysis.episodes.corpus import LoggedEpisode
-from mapreplay.analysis.parting import Layer, find_partings
 from mapreplay.analysis.pool import map_unordered
 from mapreplay.errors import MapreplayError
 from mapreplay.recorders.log.reader import EpisodeLog

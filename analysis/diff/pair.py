@@ -10,10 +10,10 @@ from typing import Final
 import numpy as np
 import polars as pl
 
-from mapreplay.analysis.causes import Cause, causes, outcome_name
+from mapreplay.analysis.diff.causes import Cause, causes, outcome_name
+from mapreplay.analysis.diff.divergence import Said, find_partings
 from mapreplay.analysis.episodes.corpus import LoggedEpisode, read_episode
 from mapreplay.analysis.metrics.curves import Curve, first_reached
-from mapreplay.analysis.parting import Said, find_partings
 from mapreplay.errors import UsageError
 from mapreplay.recorders.log.reader import EpisodeLog
 

@@ -1,0 +1,1 @@
+"""Where two episodes diverge, why, and what it led to."""
