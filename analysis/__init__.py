@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from mapreplay.analysis.episodes.corpus import pair, read_episode
     from mapreplay.analysis.metrics.measure import measure_log
     from mapreplay.analysis.metrics.per_episode import episode_metrics
-    from mapreplay.analysis.whatif import what_if, what_if_frame
+    from mapreplay.analysis.whatif.grid import what_if, what_if_frame
 
 __all__ = [
     "compare",

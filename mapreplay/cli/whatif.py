@@ -23,7 +23,7 @@ from mapreplay.errors import UsageError
 if TYPE_CHECKING:
     import polars as pl
 
-    from mapreplay.analysis.whatif import WhatIf
+    from mapreplay.analysis.whatif.grid import WhatIf
     from mapreplay.recorders.log.reader import EpisodeLog
 
 COUNT: Final = 20
@@ -55,7 +55,7 @@ def whatif(
     would have been sealed in, and when released. The trajectory stays as it was: `branch` runs
     the episode on.
     """
-    from mapreplay.analysis.whatif import what_if, what_if_frame
+    from mapreplay.analysis.whatif.grid import what_if, what_if_frame
 
     free, occupied = (
         _values(name, text)
@@ -99,7 +99,7 @@ def _values(option: str, text: str) -> list[float]:
 
 def _story(log: EpisodeLog, step: int) -> list[str | Command | pl.DataFrame]:
     """What the logged thresholds meant, and which would have left a way on."""
-    from mapreplay.analysis.whatif import release, what_if
+    from mapreplay.analysis.whatif.grid import release, what_if
 
     config = log.header.at(step).config
     as_logged = what_if(log, [config.delta_free], [config.delta_occupied])
@@ -187,7 +187,7 @@ def _some(values: tuple[float, ...], logged: float) -> list[int]:
 
 def _plot(path: Path, log: EpisodeLog, result: WhatIf, step: int, *, force: bool) -> None:
     from mapreplay.analysis.reporting.figures import render
-    from mapreplay.analysis.whatif_figure import HeatMap
+    from mapreplay.analysis.whatif.figure import HeatMap
 
     config = log.header.at(step).config
     picture = HeatMap(result, step, (config.delta_free, config.delta_occupied))

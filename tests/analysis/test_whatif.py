@@ -10,8 +10,8 @@ from drawing import plan
 from fakes import FixedPredictor, NoisyPredictor
 from mapreplay import mapping, scores
 from mapreplay.analysis.reporting.figures import DARK, render
-from mapreplay.analysis.whatif import release, what_if, what_if_frame
-from mapreplay.analysis.whatif_figure import HeatMap
+from mapreplay.analysis.whatif.figure import HeatMap
+from mapreplay.analysis.whatif.grid import release, what_if, what_if_frame
 from mapreplay.config import EpisodeConfig
 from mapreplay.episode import look_around, prepare_episode, run_episode
 from mapreplay.errors import LogError, UsageError

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from mapreplay.analysis.reporting.figures import COLOURS, Theme
-from mapreplay.analysis.whatif import WhatIf
+from mapreplay.analysis.whatif.grid import WhatIf
 
 
 @dataclass(frozen=True)
