@@ -23,7 +23,7 @@ from mapreplay.cli.output import (
 from mapreplay.errors import FloorPlanError, UsageError
 
 if TYPE_CHECKING:
-    from mapreplay.analysis.benchmark import Worth
+    from mapreplay.analysis.benchmarks.simulator import Worth
     from mapreplay.analysis.limits.measure import Row
     from mapreplay.floorplan import FloorPlan
 
@@ -56,7 +56,7 @@ def sim(
     """Steps a second of observed/observed Nearest Frontier on one core, recording off."""
     import polars as pl
 
-    from mapreplay.analysis.benchmark import median_rate, time_simulation
+    from mapreplay.analysis.benchmarks.simulator import median_rate, time_simulation
 
     timings = list(time_simulation(_plans(floorplans, ids, limit)))
     rows = [asdict(t) | {"steps_per_second": t.steps_per_second} for t in timings]
@@ -80,7 +80,7 @@ def view(
     """From a log to what the viewer opens, beside Rerun's own importer: time and size."""
     import polars as pl
 
-    from mapreplay.analysis.benchmark_view import floor_plan_of, measure_view, record_long
+    from mapreplay.analysis.benchmarks.view import floor_plan_of, measure_view, record_long
     from mapreplay.predictors import load_predictor
 
     with TemporaryDirectory() as folder:
@@ -108,7 +108,7 @@ def worth(
     """
     import polars as pl
 
-    from mapreplay.analysis.benchmark import mean_worth, measure_worth
+    from mapreplay.analysis.benchmarks.simulator import mean_worth, measure_worth
     from mapreplay.analysis.reporting.wording import counted, percent, with_interval
     from mapreplay.cli.progress import progress_bar
     from mapreplay.predictors import load_predictor
@@ -237,7 +237,7 @@ def predict(
         raise UsageError(f"--size {size}: not a multiple of 8")
     import polars as pl
 
-    from mapreplay.analysis.benchmark_predict import measure_prediction
+    from mapreplay.analysis.benchmarks.predict import measure_prediction
     from mapreplay.predictors.trained import WEIGHTS
 
     named = WEIGHTS / f"{predictor}.safetensors"
@@ -282,7 +282,7 @@ def log(
     """
     import polars as pl
 
-    from mapreplay.analysis.benchmark_log import four_in_a_square, measure_log, simulate
+    from mapreplay.analysis.benchmarks.log import four_in_a_square, measure_log, simulate
 
     plans = list(_plans(floorplans, ids, 4))
     if not plans:

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from drawing import plan
-from mapreplay.analysis import log_peers
-from mapreplay.analysis.benchmark_log import (
+from mapreplay.analysis.benchmarks import log_peers
+from mapreplay.analysis.benchmarks.log import (
     four_in_a_square,
     measure_log,
     simulate,
     step_arrays,
 )
-from mapreplay.analysis.log_peers import Run, read_with_mcap, recorders, write_ours
+from mapreplay.analysis.benchmarks.log_peers import Run, read_with_mcap, recorders, write_ours
 from mapreplay.errors import UsageError
 from mapreplay.floorplan import explorable
 from mapreplay.grid import FREE

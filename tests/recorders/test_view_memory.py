@@ -10,8 +10,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from mapreplay.analysis.benchmark_log import BlurPredictor
-from mapreplay.analysis.benchmark_view import floor_plan_of, record_long
+from mapreplay.analysis.benchmarks.log import BlurPredictor
+from mapreplay.analysis.benchmarks.view import floor_plan_of, record_long
 from viewer import viewer_on
 
 pytestmark = pytest.mark.slow

@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 from time import process_time
 from typing import Final
 
-from mapreplay.analysis.benchmark_log import four_in_a_square
+from mapreplay.analysis.benchmarks.log import four_in_a_square
 from mapreplay.config import EpisodeConfig, MapKind
 from mapreplay.episode import prepare_episode, run_episode
 from mapreplay.errors import MapreplayError, UsageError

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 import zstandard
 
-from mapreplay.analysis.log_peers import (
+from mapreplay.analysis.benchmarks.log_peers import (
     Recorder,
     Run,
     read_metrics_with_mcap,

@@ -1,0 +1,1 @@
+"""Benchmarks: the simulator, the log, the predictor and the view, next to their peers."""
