@@ -40,7 +40,7 @@ def branch(
     """
     import polars as pl
 
-    from mapreplay.analysis.branch import branch_path, prepare_branch
+    from mapreplay.analysis.branching import branch_path, prepare_branch
     from mapreplay.analysis.episodes.summary import brief, episode_frame, episode_row
     from mapreplay.cli.progress import progress_bar
     from mapreplay.recorders.log.writer import EpisodeWriter

@@ -30,7 +30,7 @@ def bundle(
     A manifest has the hash of everything; the same log gives the same bytes. A part of a log
     starts at step 0, like every log that can be verified: there is no window in its middle.
     """
-    from mapreplay.analysis.bundle import make_bundle
+    from mapreplay.analysis.bundling import make_bundle
 
     opened = open_log(log)
     name = opened.path.name.removesuffix(".part").removesuffix(".mcap")

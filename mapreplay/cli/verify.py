@@ -15,7 +15,7 @@ from mapreplay.errors import MapreplayError, PluginError, UsageError
 if TYPE_CHECKING:
     import polars as pl
 
-    from mapreplay.analysis.verify import Verification
+    from mapreplay.analysis.verification import Verification
     from mapreplay.recorders.log.reader import EpisodeLog
 
 DIFFERS = 1
@@ -85,7 +85,7 @@ def _check(
     device: str, rerun_from: int | None, *, rerun: bool
 ) -> Callable[[EpisodeLog], Verification]:
     """What is to be done with each log."""
-    from mapreplay.analysis import verify
+    from mapreplay.analysis import verification as verify
 
     def one_step(log: EpisodeLog) -> Verification:
         index = rerun_from or 0

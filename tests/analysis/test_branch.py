@@ -10,7 +10,7 @@ import pytest
 
 from drawing import draw, plan
 from fakes import FixedPredictor
-from mapreplay.analysis.branch import (
+from mapreplay.analysis.branching import (
     BranchedEpisode,
     SetRight,
     branch_path,
@@ -19,7 +19,7 @@ from mapreplay.analysis.branch import (
     prepare_branch,
 )
 from mapreplay.analysis.metrics.measure import measure_log
-from mapreplay.analysis.verify import verify, verify_rerun
+from mapreplay.analysis.verification import verify, verify_rerun
 from mapreplay.config import EpisodeConfig
 from mapreplay.episode import prepare_episode, run_episode
 from mapreplay.errors import ConfigError, LogError, UsageError

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from mapreplay.analysis.bundle import LOG_NAME, make_bundle
-from mapreplay.analysis.verify import verify
+from mapreplay.analysis.bundling import LOG_NAME, make_bundle
+from mapreplay.analysis.verification import verify
 from mapreplay.errors import UsageError
 from mapreplay.recorders.log.reader import EpisodeLog
 

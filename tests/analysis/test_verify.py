@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from drawing import plan
 from fakes import ConstantPredictor, FixedPredictor, NoisyPredictor
 from mapreplay.analysis.diff.steps import Difference, compare
-from mapreplay.analysis.verify import Verification, verify, verify_rerun, verify_step
+from mapreplay.analysis.verification import Verification, verify, verify_rerun, verify_step
 from mapreplay.config import EpisodeConfig, MapKind
 from mapreplay.episode import Episode, prepare_episode, run_episode
 from mapreplay.errors import LogError, PluginError

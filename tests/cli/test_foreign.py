@@ -9,7 +9,7 @@ import pytest
 from commands import Run
 from drawing import draw, plan
 from mapreplay import EpisodeLog, EpisodeWriter, ForeignEpisode, unknown_floor_plan
-from mapreplay.analysis.verify import verify
+from mapreplay.analysis.verification import verify
 from mapreplay.errors import ConfigError, FloorPlanError, UsageError
 from mapreplay.step import differences
 

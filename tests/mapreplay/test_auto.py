@@ -13,8 +13,8 @@ from hypothesis.extra import numpy as hnp
 
 from drawing import draw, plan
 from fakes import ConstantPredictor
-from mapreplay.analysis.branch import prepare_branch
-from mapreplay.analysis.verify import verify, verify_rerun
+from mapreplay.analysis.branching import prepare_branch
+from mapreplay.analysis.verification import verify, verify_rerun
 from mapreplay.config import EpisodeConfig, MapKind
 from mapreplay.episode import Episode, prepare_episode, run_episode
 from mapreplay.errors import WeightsError

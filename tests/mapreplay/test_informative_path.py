@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drawing import draw, find, plan
-from mapreplay.analysis.verify import verify
+from mapreplay.analysis.verification import verify
 from mapreplay.config import EpisodeConfig
 from mapreplay.episode import prepare_episode, run_episode
 from mapreplay.floorplans.procedural import Style, generate

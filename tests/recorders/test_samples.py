@@ -6,7 +6,7 @@ import pytest
 
 from mapreplay.analysis.diagnosis.diagnosis import diagnose
 from mapreplay.analysis.diagnosis.record import diagnosis_path, record_of, to_json
-from mapreplay.analysis.verify import verify
+from mapreplay.analysis.verification import verify
 from mapreplay.recorders.log.find import find_logs
 from mapreplay.recorders.log.reader import EpisodeLog
 

@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from mapreplay import mapping, plugins
-from mapreplay.analysis.branch import lineage, predictor_of, run_again
+from mapreplay.analysis.branching import lineage, predictor_of, run_again
 from mapreplay.analysis.diff.steps import Difference, compare
 from mapreplay.episode import (
     Past,
