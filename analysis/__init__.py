@@ -16,7 +16,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from mapreplay.analysis.comparison import compare, comparison_frame
+    from mapreplay.analysis.comparison.compare import compare, comparison_frame
     from mapreplay.analysis.comparison.groups import group_episodes
     from mapreplay.analysis.diff.divergence import find_partings
     from mapreplay.analysis.diff.pair import diff_frame, diff_logs
@@ -41,18 +41,18 @@ __all__ = [
 ]
 
 _HOMES = {
-    "compare": "comparison",
-    "comparison_frame": "comparison",
-    "diff_frame": "diff",
-    "diff_logs": "diff",
-    "episode_metrics": "per_episode",
-    "find_partings": "parting",
-    "group_episodes": "groups",
-    "measure_log": "measurements",
-    "pair": "corpus",
-    "read_episode": "corpus",
-    "what_if": "whatif",
-    "what_if_frame": "whatif",
+    "compare": "comparison.compare",
+    "comparison_frame": "comparison.compare",
+    "diff_frame": "diff.pair",
+    "diff_logs": "diff.pair",
+    "episode_metrics": "metrics.per_episode",
+    "find_partings": "diff.divergence",
+    "group_episodes": "comparison.groups",
+    "measure_log": "metrics.measure",
+    "pair": "episodes.corpus",
+    "read_episode": "episodes.corpus",
+    "what_if": "whatif.grid",
+    "what_if_frame": "whatif.grid",
 }
 
 

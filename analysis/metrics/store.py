@@ -29,15 +29,15 @@ MAX_BYTES: Final = 1 << 30
 _BLOCK: Final = 1 << 20
 _CODE: Final = {
     "mapreplay": ("episode.py", "floorplan.py", "kernels.py", "mapping.py", "scores.py"),
-    "mapreplay.analysis": (
+    "mapreplay.analysis.episodes": ("summary.py",),
+    "mapreplay.analysis.metrics": (
         "calibration.py",
         "curves.py",
         "per_episode.py",
-        "episodes.py",
         "kernels.py",
-        "measurements.py",
+        "measure.py",
     ),
-    "mapreplay.recorders": ("container.py", "log.py", "messages.py", "table.py"),
+    "mapreplay.recorders.log": ("mcap/reader.py", "messages.py", "reader.py", "step_table.py"),
 }
 """What the numbers depend on beside the log."""
 

@@ -9,7 +9,7 @@ import pytest
 
 from commands import Run
 from episodes import made_up
-from mapreplay.analysis.comparison import compare
+from mapreplay.analysis.comparison.compare import compare
 from mapreplay.analysis.comparison.groups import group_episodes
 
 SAMPLES = Path(__file__).parents[2] / "samples" / "episodes"
