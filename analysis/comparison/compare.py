@@ -18,7 +18,7 @@ import polars as pl
 
 from mapreplay.analysis.comparison.groups import Group, Grouping
 from mapreplay.analysis.episodes.corpus import LoggedEpisode, Place
-from mapreplay.analysis.metrics.curves import area, first_reached
+from mapreplay.analysis.episodes.curves import area, first_reached
 from mapreplay.analysis.reporting.wording import counted
 from mapreplay.analysis.stats.estimates import (
     NEVER,

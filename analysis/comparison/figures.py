@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from mapreplay.analysis.comparison.compare import TIME, Comparison, GroupResult
-from mapreplay.analysis.metrics.curves import extended
+from mapreplay.analysis.episodes.curves import extended
 from mapreplay.analysis.reporting.figures import LINES, MARKERS, Theme, colour
 from mapreplay.analysis.stats.estimates import NEVER
 

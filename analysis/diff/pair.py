@@ -13,7 +13,7 @@ import polars as pl
 from mapreplay.analysis.diff.causes import Cause, causes, outcome_name
 from mapreplay.analysis.diff.divergence import Said, find_partings
 from mapreplay.analysis.episodes.corpus import LoggedEpisode, read_episode
-from mapreplay.analysis.metrics.curves import Curve, first_reached
+from mapreplay.analysis.episodes.curves import Curve, first_reached
 from mapreplay.errors import UsageError
 from mapreplay.recorders.log.reader import EpisodeLog
 

@@ -14,8 +14,8 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from mapreplay.analysis.episodes.curves import Curve
 from mapreplay.analysis.episodes.summary import EpisodeRow, summarize
-from mapreplay.analysis.metrics.curves import Curve
 from mapreplay.analysis.pool import map_unordered
 from mapreplay.config import MapKind
 from mapreplay.errors import MapreplayError

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import polars as pl
 
-from mapreplay.analysis.metrics.curves import first_reached
+from mapreplay.analysis.episodes.curves import first_reached
 from mapreplay.config import MapKind
 from mapreplay.errors import UsageError
 from mapreplay.recorders.log.reader import EpisodeLog

@@ -7,8 +7,8 @@ from typing import Final
 
 import polars as pl
 
+from mapreplay.analysis.episodes.curves import MILESTONES, area, first_reached
 from mapreplay.analysis.episodes.summary import episode_frame, summarize
-from mapreplay.analysis.metrics.curves import MILESTONES, area, first_reached
 from mapreplay.analysis.metrics.measure import CHANGES, RECORDED, Measurements, prediction_scores
 from mapreplay.config import MapKind
 from mapreplay.recorders.log.reader import EpisodeLog

@@ -29,10 +29,9 @@ MAX_BYTES: Final = 1 << 30
 _BLOCK: Final = 1 << 20
 _CODE: Final = {
     "mapreplay": ("episode.py", "floorplan.py", "kernels.py", "mapping.py", "scores.py"),
-    "mapreplay.analysis.episodes": ("summary.py",),
+    "mapreplay.analysis.episodes": ("curves.py", "summary.py"),
     "mapreplay.analysis.metrics": (
         "calibration.py",
-        "curves.py",
         "per_episode.py",
         "kernels.py",
         "measure.py",

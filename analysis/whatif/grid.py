@@ -16,8 +16,8 @@ import numpy.typing as npt
 import polars as pl
 
 from mapreplay import scores
+from mapreplay.analysis.episodes.curves import first_reached
 from mapreplay.analysis.metrics import kernels
-from mapreplay.analysis.metrics.curves import first_reached
 from mapreplay.errors import LogError, UsageError
 from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Grid, Mask, Quantized
 from mapreplay.mapping import Thresholds, sure_levels

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapreplay.analysis.metrics.curves import area, extended, first_reached
+from mapreplay.analysis.episodes.curves import area, extended, first_reached
 
 CURVE = np.array([0.0, 0.5, 0.5, 1.0])
 
