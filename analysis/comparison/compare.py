@@ -433,7 +433,7 @@ def comparison_frame(comparison: Comparison) -> pl.DataFrame:
         for outcome, number in group.outcomes:
             add("outcome", group.name, outcome, value=float(number))
         s = group.success
-        add("success", group.name, "mapped", value=s.share, low=s.low, high=s.high, plans=s.plans)
+        add("success", group.name, "mapped", value=s.share, low=s.low, high=s.high, plans=s.of)
         for measure, mean in group.estimates.items():
             add("mean", group.name, measure, **estimate(mean))
     for e in comparison.effects:

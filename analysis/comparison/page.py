@@ -105,7 +105,7 @@ def _headlines(comparison: Comparison) -> Iterator[page.Block]:
     ]
     for group in comparison.groups[:MOST_GROUPS]:
         success = group.success
-        numbers.append((f"{success.count} of {success.plans}", f"floor plans mapped: {group.name}"))
+        numbers.append((f"{success.count} of {success.of}", f"floor plans mapped: {group.name}"))
     yield page.Numbers(numbers)
 
 

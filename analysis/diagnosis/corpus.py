@@ -11,14 +11,13 @@ from operator import add
 from typing import Any, Final, TypeAlias
 
 import numpy as np
-from scipy import stats
 
 from mapreplay.analysis.diagnosis.claims import Claims
 from mapreplay.analysis.diagnosis.detect import Ending, NearMissKind
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, Sealing
 from mapreplay.analysis.diagnosis.harms import HarmKind
 from mapreplay.analysis.diagnosis.taxonomy import KINDS, UNCLASSIFIED
-from mapreplay.analysis.stats.estimates import Estimate, mean_interval
+from mapreplay.analysis.stats.estimates import Estimate, Proportion, mean_interval, proportion
 
 OUT: Final = frozenset({Ending.SEEN, Ending.PREDICTION, Ending.MAPPED})
 """Endings of a sealing after which the episode went on, or was done."""
@@ -27,37 +26,14 @@ NARROW: Final = 6
 
 
 @dataclass(frozen=True)
-class Rate:
-    """A share of episodes with its 95 % interval (Wilson)."""
-
-    count: int
-    of: int
-    low: float
-    high: float
-
-    @property
-    def share(self) -> float:
-        """NaN of nothing."""
-        return self.count / self.of if self.of else float("nan")
-
-
-def rate(count: int, of: int) -> Rate:
-    """`count` of `of`."""
-    if of == 0:
-        return Rate(0, 0, float("nan"), float("nan"))
-    interval = stats.binomtest(count, of).proportion_ci(method="wilson")
-    return Rate(count, of, float(interval.low), float(interval.high))
-
-
-@dataclass(frozen=True)
-class Group:
+class CorpusGroup:
     """Episodes of one kind: a row of the table of a corpus."""
 
     by: str
     """What they have in common: planner, predictor, thresholds, ..."""
     value: str
     episodes: int
-    sealed: Rate
+    sealed: Proportion
     """Those that were sealed in at least once."""
     final: int
     """Those that never got out."""
@@ -93,7 +69,7 @@ _BY: Final[dict[str, _Key]] = {
 }
 
 
-def groups(diagnoses: Sequence[Diagnosis]) -> list[Group]:
+def groups(diagnoses: Sequence[Diagnosis]) -> list[CorpusGroup]:
     """The corpus as a whole, and by everything in which its episodes differ."""
     return [_group(by, value, members) for by, value, members in _grouped(diagnoses, _BY)]
 
@@ -111,15 +87,15 @@ def _grouped(
                 yield name, value, members[value]
 
 
-def _group(by: str, value: str, members: Sequence[Diagnosis]) -> Group:
+def _group(by: str, value: str, members: Sequence[Diagnosis]) -> CorpusGroup:
     found = [sealing for diagnosis in members for sealing in diagnosis.sealings]
     sealed = sum(bool(diagnosis.sealings) for diagnosis in members)
     covered = [s.coverage for s in found if s.coverage == s.coverage]
-    return Group(
+    return CorpusGroup(
         by=by,
         value=value,
         episodes=len(members),
-        sealed=rate(sealed, len(members)),
+        sealed=proportion(sealed, len(members)),
         final=sum(any(s.is_final for s in d.sealings) for d in members),
         sealings=len(found),
         moves=sum(s.moves for s in found),
@@ -135,7 +111,7 @@ class KindCount:
     kind: str
     sealings: int
     final: int
-    share: Rate
+    share: Proportion
     """Of all sealings."""
     coverage: float
     """Median at the time."""
@@ -169,7 +145,7 @@ def _kind(kind: str, chosen: Sequence[Sealing], of: int) -> KindCount:
         kind=kind,
         sealings=len(chosen),
         final=sum(sealing.is_final for sealing in chosen),
-        share=rate(len(chosen), of),
+        share=proportion(len(chosen), of),
         coverage=_median(chosen, lambda s: s.coverage),
         culprits=_median(chosen, lambda s: len(s.culprits.cells) if s.culprits else None),
         doorway=_median(chosen, lambda s: s.doorway.width if s.doorway else None),
@@ -190,7 +166,7 @@ class Attraction:
     """Where the agent is sealed in, beside where it is."""
 
     feature: str
-    sealings: Rate
+    sealings: Proportion
     """Sealings whose culprit lies at such a place."""
     steps: float
     """Share of all steps at such a place."""
@@ -209,7 +185,7 @@ def attractions(diagnoses: Sequence[Diagnosis]) -> list[Attraction]:
         inside = sum(low <= place.gap <= high for place in places)
         share = int(walked[low : high + 1].sum()) / total if total else float("nan")
         name = f"{low} to {high} cells wide" if high < length else f"{low} cells or wider"
-        rows.append(Attraction(name, rate(inside, len(places)), share))
+        rows.append(Attraction(name, proportion(inside, len(places)), share))
     return rows
 
 
@@ -254,7 +230,7 @@ class HarmCount:
     """One of the other ways in which predictions hurt."""
 
     kind: str
-    episodes: Rate
+    episodes: Proportion
     """In which it happened."""
     times: int
     moves: int
@@ -279,7 +255,9 @@ def harm_counts(diagnoses: Sequence[Diagnosis]) -> list[HarmCount]:
 
 
 def _harm(kind: str, times: Sequence[int], moves: Sequence[int]) -> HarmCount:
-    return HarmCount(kind, rate(sum(t > 0 for t in times), len(times)), sum(times), sum(moves))
+    return HarmCount(
+        kind, proportion(sum(t > 0 for t in times), len(times)), sum(times), sum(moves)
+    )
 
 
 def endings(diagnoses: Sequence[Diagnosis]) -> dict[Ending, tuple[int, float, float]]:
@@ -298,7 +276,7 @@ class Cost:
 
     by: str
     value: str
-    """As in `Group`."""
+    """As in `CorpusGroup`."""
     episodes: int
     times: int
     """Sealings of these."""

@@ -23,7 +23,7 @@ from mapreplay.analysis.diagnosis.detect import (
 )
 from mapreplay.analysis.diagnosis.doorway import Doorway, find_doorway, truly_inside
 from mapreplay.analysis.diagnosis.harms import Harm, HarmDetector, WrongCoverage, wrong_coverage
-from mapreplay.analysis.diagnosis.places import Place, place_of, widths
+from mapreplay.analysis.diagnosis.places import Surroundings, place_of, widths
 from mapreplay.analysis.diagnosis.reach import Scratch, hidden, reached
 from mapreplay.analysis.diagnosis.remedy import (
     Remedy,
@@ -66,7 +66,7 @@ class Sealing:
     blame: tuple[Blame, ...]
     """One chain for each of the culprits' `cells`."""
     doorway: Doorway | None
-    place: Place | None
+    place: Surroundings | None
     """What the plan looks like at the first culprit."""
     remedy: Remedy
 

@@ -15,7 +15,7 @@ from mapreplay.step import Step
 
 
 @dataclass(frozen=True)
-class Place:
+class Surroundings:
     """The surroundings of the first culprit on the way out."""
 
     gap: int
@@ -33,7 +33,7 @@ class Place:
     """Cells (Euclidean) from the agent."""
 
 
-def place_of(truth: Grid, step: Step, culprits: Culprits) -> Place:
+def place_of(truth: Grid, step: Step, culprits: Culprits) -> Surroundings:
     """Measure the true map and the false wall at the first of `culprits.cells`."""
     cell = Cell(*culprits.cells[0].tolist())
     wrong = false_walls(truth, step.observed, step.fused)
@@ -41,7 +41,7 @@ def place_of(truth: Grid, step: Step, culprits: Culprits) -> Place:
     rows, cols = np.nonzero(labels == labels[cell])
     sides = sorted((int(np.ptp(rows)) + 1, int(np.ptp(cols)) + 1))
     gap, length = passage(truth, cell)
-    return Place(
+    return Surroundings(
         gap=gap,
         length=length,
         false_wall=len(rows),
@@ -68,7 +68,7 @@ def widths(truth: Grid) -> npt.NDArray[np.int64]:
 
 
 def passage(truth: Grid, cell: Cell) -> tuple[int, int]:
-    """Width and length of the passage at a free `cell`, in cells; see `Place`."""
+    """Width and length of the passage at a free `cell`, in cells; see `Surroundings`."""
     along_row, along_col = runs_through(truth)
     across = along_row if along_row[cell] <= along_col[cell] else along_col
     gap = int(across[cell])

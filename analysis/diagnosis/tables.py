@@ -7,10 +7,9 @@ from collections.abc import Sequence
 import polars as pl
 
 from mapreplay.analysis.diagnosis import corpus
-from mapreplay.analysis.diagnosis.corpus import Rate
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis
 from mapreplay.analysis.reporting.wording import with_interval
-from mapreplay.analysis.stats.estimates import Estimate
+from mapreplay.analysis.stats.estimates import Estimate, Proportion
 
 
 def groups_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
@@ -141,7 +140,7 @@ def percent(share: float) -> str:
     return "-" if share != share else f"{100 * share:.1f} %"
 
 
-def interval(rate: Rate) -> str:
+def interval(rate: Proportion) -> str:
     """Its 95 % interval, in percent."""
     return "-" if rate.low != rate.low else f"{100 * rate.low:.1f} to {100 * rate.high:.1f}"
 

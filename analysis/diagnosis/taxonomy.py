@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from mapreplay.analysis.diagnosis.diagnosis import Sealing
-    from mapreplay.analysis.diagnosis.places import Place
+    from mapreplay.analysis.diagnosis.places import Surroundings
 
 UNCLASSIFIED: Final = "unclassified"
 DOOR_WIDTH: Final = 6
@@ -34,18 +34,18 @@ class Kind:
     """What happened, for a paragraph."""
     rule: str
     """In words."""
-    holds: Callable[[Sealing, Place], bool]
+    holds: Callable[[Sealing, Surroundings], bool]
 
 
-def _is_nook(sealing: Sealing, place: Place) -> bool:  # noqa: ARG001
+def _is_nook(sealing: Sealing, place: Surroundings) -> bool:  # noqa: ARG001
     return sealing.hidden <= NOOK
 
 
-def _is_door(place: Place) -> bool:
+def _is_door(place: Surroundings) -> bool:
     return place.gap <= DOOR_WIDTH and place.length <= DOOR_LENGTH
 
 
-def _are_doors(sealing: Sealing, place: Place) -> bool:
+def _are_doors(sealing: Sealing, place: Surroundings) -> bool:
     return _is_door(place) and sealing.doorway is not None and sealing.doorway.parts > 1
 
 

@@ -186,7 +186,7 @@ def _share(values: Mapping[str, float]) -> Estimate:
     if not np.isin(shares, (0.0, 1.0)).all():
         return mean_interval(shares)
     wilson = proportion(int(shares.sum()), shares.size)
-    return Estimate(wilson.share, wilson.low, wilson.high, wilson.plans)
+    return Estimate(wilson.share, wilson.low, wilson.high, wilson.of)
 
 
 def _finished(rows: Iterable[Row]) -> frozenset[str]:

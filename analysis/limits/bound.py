@@ -29,7 +29,7 @@ import numpy.typing as npt
 from scipy.optimize import linprog
 
 from mapreplay.analysis.limits import bound_kernels, kernels
-from mapreplay.analysis.limits.task import Ints, Task
+from mapreplay.analysis.limits.task import CoverageTask, Ints
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 Bytes: TypeAlias = npt.NDArray[np.uint8]
@@ -52,27 +52,27 @@ MOST: Final = 1 << 28
 """Distances that are kept; beyond, only some of the cells have a potential."""
 
 
-def lower_bound(task: Task) -> int:
+def lower_bound(task: CoverageTask) -> int:
     """Moves that every walk takes that knows enough at its end."""
     if task.needed <= len(task.seen_from(task.start)):
         return 0
     return max(1, reach_bound(task), math.ceil(potential_bound(task) - 1e-6))
 
 
-def reach_bound(task: Task) -> int:
+def reach_bound(task: CoverageTask) -> int:
     """Moves within which enough cells can be seen, each by a walk of its own."""
     first = _first_seen(task)
     return int(np.partition(first, task.needed - 1)[task.needed - 1])
 
 
-def potential_bound(task: Task) -> float:
+def potential_bound(task: CoverageTask) -> float:
     """The bound by potentials, see above."""
     potentials = _Potentials.of(task)
     solution = _solve(potentials, task.spare)
     return potentials.prove(solution, task.spare)
 
 
-def _away(task: Task, place: int) -> Ints:
+def _away(task: CoverageTask, place: int) -> Ints:
     """int32[F]: moves from `place`."""
     away = np.empty(len(task.places), np.int32)
     kernels.distances(
@@ -81,7 +81,7 @@ def _away(task: Task, place: int) -> Ints:
     return away
 
 
-def _first_seen(task: Task) -> Ints:
+def _first_seen(task: CoverageTask) -> Ints:
     """int32[N]: moves from the start to where each cell is seen from."""
     start, seers = task.seers
     return np.minimum.reduceat(_away(task, task.start)[seers], start[:-1])
@@ -109,7 +109,7 @@ class _Potentials:
     """float32[E, B, R]."""
 
     @classmethod
-    def of(cls, task: Task) -> _Potentials:
+    def of(cls, task: CoverageTask) -> _Potentials:
         places = len(task.places)
         seer_start, seers = task.seers
         step = math.ceil(len(task.cells) * places / MOST)
@@ -201,7 +201,7 @@ def _blocks(cells: Ints) -> Ints:
     return np.unique(row * span[1] + col, return_inverse=True)[1].astype(np.int32)
 
 
-def _sets(task: Task) -> Bytes:
+def _sets(task: CoverageTask) -> Bytes:
     """uint8[S, F]: distances to where one cell of a set is seen from, that cannot be missed.
 
     Around each of some places that are far from each other: the cells that can only be seen from

@@ -18,7 +18,7 @@ from mapreplay.analysis.experiment.markdown import number, percent, table
 from mapreplay.analysis.limits.bound import lower_bound
 from mapreplay.analysis.limits.cache import remembered
 from mapreplay.analysis.limits.predicted import Known, predicted_tour
-from mapreplay.analysis.limits.task import Ints, Task, task_of
+from mapreplay.analysis.limits.task import CoverageTask, Ints, task_of
 from mapreplay.analysis.limits.tour import Tour, short_tour
 from mapreplay.analysis.pool import map_unordered
 from mapreplay.analysis.stats.estimates import Estimate, mean_interval, paired_reduction
@@ -67,7 +67,7 @@ class Question:
 
 
 @dataclass(frozen=True)
-class Row:
+class PlanLimit:
     """A number of moves on one floor plan."""
 
     floor_plan: str
@@ -84,7 +84,7 @@ class Row:
         return 1 - self.moves / self.nearest
 
 
-def limits_of(floor_plan: FloorPlan, question: Question) -> list[Row]:
+def limits_of(floor_plan: FloorPlan, question: Question) -> list[PlanLimit]:
     """The limits of a floor plan from its default start.
 
     Raises:
@@ -108,7 +108,7 @@ def limits_of(floor_plan: FloorPlan, question: Question) -> list[Row]:
                 predictor = kept_predictor(name)
                 moves = _with_predictor(work, question.thresholds, predictor)
                 found.append((predictor.identity.name, Limit.TOUR, moves))
-    return [Row(floor_plan.id, known, limit, moves, nearest) for known, limit, moves in found]
+    return [PlanLimit(floor_plan.id, known, limit, moves, nearest) for known, limit, moves in found]
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +121,7 @@ class _Work:
     within: int
 
     @cached_property
-    def task(self) -> Task:
+    def task(self) -> CoverageTask:
         return task_of(self.floor_plan, self.start, self.target, within=self.within)
 
     @cached_property
@@ -165,7 +165,7 @@ def _with_predictor(work: _Work, thresholds: Thresholds, predictor: Predictor) -
 
 
 def fused_knowledge(
-    floor_plan: FloorPlan, task: Task, predictor: Predictor, thresholds: Thresholds
+    floor_plan: FloorPlan, task: CoverageTask, predictor: Predictor, thresholds: Thresholds
 ) -> Callable[[Ints], Known]:
     """What the fused map knows after looking from some places: for `predicted.predicted_tour`."""
     offsets = Sensor().offsets
@@ -186,12 +186,12 @@ def fused_knowledge(
 
 def measure_limits(
     floor_plans: Sequence[FloorPlan], question: Question, jobs: int = 1
-) -> Iterator[list[Row] | MapreplayError]:
+) -> Iterator[list[PlanLimit] | MapreplayError]:
     """The limits of each floor plan, as they are done; an error is a result, too."""
     return map_unordered(_measured, [(plan, question) for plan in floor_plans], jobs)
 
 
-def _measured(work: tuple[FloorPlan, Question]) -> list[Row] | MapreplayError:
+def _measured(work: tuple[FloorPlan, Question]) -> list[PlanLimit] | MapreplayError:
     try:
         return limits_of(*work)
     except MapreplayError as error:
@@ -199,7 +199,7 @@ def _measured(work: tuple[FloorPlan, Question]) -> list[Row] | MapreplayError:
 
 
 @dataclass(frozen=True)
-class Summary:
+class MeanLimit:
     """A limit over floor plans."""
 
     known: str
@@ -209,13 +209,13 @@ class Summary:
     """Against Nearest Frontier on observed/observed: mean of 1 - T / T_nearest."""
 
 
-def summarize(rows: Iterable[Row]) -> list[Summary]:
+def mean_limits(rows: Iterable[PlanLimit]) -> list[MeanLimit]:
     """Means over floor plans with 95 % intervals, in order of appearance."""
-    groups: dict[tuple[str, Limit], list[Row]] = {}
+    groups: dict[tuple[str, Limit], list[PlanLimit]] = {}
     for row in rows:
         groups.setdefault((row.known, row.limit), []).append(row)
     return [
-        Summary(
+        MeanLimit(
             known,
             limit,
             mean_interval([row.moves for row in group]),
@@ -225,7 +225,7 @@ def summarize(rows: Iterable[Row]) -> list[Summary]:
     ]
 
 
-def limits_summary(rows: Sequence[Row]) -> pl.DataFrame:
+def limits_summary(rows: Sequence[PlanLimit]) -> pl.DataFrame:
     """The means as a table for 80 columns; reductions in percent."""
     return pl.DataFrame(
         [
@@ -240,22 +240,22 @@ def limits_summary(rows: Sequence[Row]) -> pl.DataFrame:
                 "to, %": 100 * s.reduction.high,
                 "plans": s.moves.plans,
             }
-            for s in summarize(rows)
+            for s in mean_limits(rows)
         ]
     ).with_columns(pl.col(pl.Float64).fill_nan(None))
 
 
-def limits_markdown(rows: Sequence[Row]) -> str:
+def limits_markdown(rows: Sequence[PlanLimit]) -> str:
     """The means as a table in Markdown."""
     lines = [
         [s.known, LIMITS[s.limit], number(s.moves), percent(s.reduction), str(s.moves.plans)]
-        for s in summarize(rows)
+        for s in mean_limits(rows)
     ]
     head = ["counts as known", "limit", "moves", "reduction, %", "plans"]
     return table(head, lines) + "\n"
 
 
-def limits_frame(rows: Sequence[Row]) -> pl.DataFrame:
+def limits_frame(rows: Sequence[PlanLimit]) -> pl.DataFrame:
     """All numbers as one table: of ("mean" or "plan"), floor_plan, known, limit, moves, reduction,
     with intervals of the means, and plans.
     """
@@ -266,7 +266,7 @@ def limits_frame(rows: Sequence[Row]) -> pl.DataFrame:
             "reduction": s.reduction.mean, "reduction_low": s.reduction.low,
             "reduction_high": s.reduction.high, "plans": s.moves.plans,
         }
-        for s in summarize(rows)
+        for s in mean_limits(rows)
     ]  # fmt: skip
     each = [
         {

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mapreplay.analysis.limits import kernels
-from mapreplay.analysis.limits.task import Ints, Task
+from mapreplay.analysis.limits.task import CoverageTask, Ints
 from mapreplay.analysis.limits.tour import Tour, search
 
 Known: TypeAlias = npt.NDArray[np.bool_]
@@ -47,7 +47,7 @@ class _OutOfCallsError(Exception):
 class _Asked:
     """The predictor, asked at most so many times, and the best tour so far."""
 
-    task: Task
+    task: CoverageTask
     ask: Ask
     calls: int
     best: Tour
@@ -92,7 +92,7 @@ class _Asked:
 
 
 def predicted_tour(
-    task: Task, ask: Ask, observing: Tour, calls: int = CALLS, seed: int = 0
+    task: CoverageTask, ask: Ask, observing: Tour, calls: int = CALLS, seed: int = 0
 ) -> Tour:
     """A short tour at whose end the fused map knows enough.
 

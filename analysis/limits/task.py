@@ -21,7 +21,7 @@ Longs: TypeAlias = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
+class CoverageTask:
     """Coverage of a floor plan, as a planner that knows it would see the task.
 
     Places are the free cells that can be reached, numbered in row-major order; cells are the
@@ -74,7 +74,7 @@ def task_of(
     target: float = 0.98,
     sensor: Sensor | None = None,
     within: int = 0,
-) -> Task:
+) -> CoverageTask:
     """The task of knowing a share `target` of the explorable cells of a floor plan.
 
     Args:
@@ -104,7 +104,7 @@ def task_of(
     arguments = (grid, places, cell_number, sensor.offsets, within, view_start)
     view = np.empty(kernels.find_views(*arguments, np.empty(0, np.int32)), np.int32)
     kernels.find_views(*arguments, view)
-    return Task(
+    return CoverageTask(
         start=int(place_number[start]),
         needed=needed_cells(len(cells), target),
         places=places,

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mapreplay.analysis.limits import kernels
-from mapreplay.analysis.limits.task import Ints, Task
+from mapreplay.analysis.limits.task import CoverageTask, Ints
 from mapreplay.errors import FloorPlanError
 
 ROUNDS: Final = 200
@@ -40,7 +40,7 @@ class Tour:
         return len(self.path) - 1
 
 
-def short_tour(task: Task, rounds: int = ROUNDS, seed: int = 0) -> Tour:
+def short_tour(task: CoverageTask, rounds: int = ROUNDS, seed: int = 0) -> Tour:
     """A short tour that observes enough.
 
     Raises:
@@ -52,7 +52,7 @@ def short_tour(task: Task, rounds: int = ROUNDS, seed: int = 0) -> Tour:
 
 
 def search(
-    task: Task,
+    task: CoverageTask,
     stops: Ints,
     before: npt.NDArray[np.bool_],
     needed: int,

@@ -191,27 +191,27 @@ def restricted_mean_difference(
 
 @dataclass(frozen=True)
 class Proportion:
-    """A share of floor plans and its 95 % Wilson interval."""
+    """A share of floor plans, episodes or sealings, and its 95 % Wilson interval."""
 
     count: int
-    plans: int
+    of: int
     share: float
     low: float
     high: float
 
 
-def proportion(count: int, plans: int) -> Proportion:
-    """`count` of `plans`, with the Wilson score interval; NaN of none.
+def proportion(count: int, of: int) -> Proportion:
+    """`count` of `of`, with the Wilson score interval; NaN of none.
 
     Raises:
-        ValueError: not 0 <= count <= plans.
+        ValueError: not 0 <= count <= of.
     """
-    if not 0 <= count <= plans:
-        raise ValueError(f"{count} of {plans} is no share")
-    if plans == 0:
+    if not 0 <= count <= of:
+        raise ValueError(f"{count} of {of} is no share")
+    if of == 0:
         return Proportion(0, 0, math.nan, math.nan, math.nan)
-    interval = stats.binomtest(count, plans).proportion_ci(CONFIDENCE, method="wilson")
-    return Proportion(count, plans, count / plans, float(interval.low), float(interval.high))
+    interval = stats.binomtest(count, of).proportion_ci(CONFIDENCE, method="wilson")
+    return Proportion(count, of, count / of, float(interval.low), float(interval.high))
 
 
 def cumulative_incidence(times: Values, at: Values) -> list[Proportion]:

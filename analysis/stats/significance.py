@@ -1,5 +1,9 @@
 """Tests of significance on paired values, one pair a floor plan.
 
+Sign-flips are counted here and not by scipy: its ``permutation_test`` gives the same exact p (a
+test compares them) in 5 to 12 times the time, its ``wilcoxon`` with a ``PermutationMethod`` in a
+thousand times (13 floor plans: 1 against 1,200 ms).
+
 All are two-sided. What they can say at best depends on the number of floor plans that differ:
 with five, no p-value is below .0625. So every result carries the smallest p that was possible.
 """

@@ -7,19 +7,23 @@ On small made-up houses: rooms in a row or a square, with doors at random places
 
 from __future__ import annotations
 
+import sys
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 
 from mapreplay.analysis.experiment.markdown import table
 from mapreplay.analysis.limits.bound import lower_bound
-from mapreplay.analysis.limits.exact import shortest
 from mapreplay.analysis.limits.task import task_of
 from mapreplay.analysis.limits.tour import short_tour
 from mapreplay.errors import FloorPlanError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.grid import FREE, OCCUPIED
 from mapreplay.sensor import Sensor
+
+sys.path.append(str(Path(__file__).parents[2] / "tests" / "helpers"))
+from exact_tour import shortest
 
 HOUSES = 24
 ROOMS = ((1, 3), (2, 2), (2, 3), (3, 3))

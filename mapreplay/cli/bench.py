@@ -24,7 +24,7 @@ from mapreplay.errors import FloorPlanError, UsageError
 
 if TYPE_CHECKING:
     from mapreplay.analysis.benchmarks.simulator import Worth
-    from mapreplay.analysis.limits.measure import Row
+    from mapreplay.analysis.limits.measure import PlanLimit
     from mapreplay.floorplan import FloorPlan
 
 bench_app = typer.Typer(
@@ -201,7 +201,7 @@ def limits(
     thresholds = Thresholds(delta_free, delta_occupied)
     question = Question(target, thresholds, tuple(predictor or ()), tuple(infill or ()))
     plans = list(_plans(floorplans, ids, limit))
-    rows: list[Row] = []
+    rows: list[PlanLimit] = []
     failed = 0
     with progress_bar() as bar:
         found = measure_limits(plans, question, jobs)

@@ -65,6 +65,16 @@ def test_sign_flips_by_hand() -> None:
     assert sign_flip([-1, 2, 6]).p == pytest.approx(0.5)
 
 
+def test_scipys_permutation_test_says_the_same_of_sign_flips() -> None:
+    for size in (3, 8, 12):
+        data = np.random.default_rng(size).normal(0.3, 1, size).round(1)
+        oracle = scipy.stats.permutation_test(
+            (data,), lambda x, axis: np.mean(x, axis=axis), permutation_type="samples",
+            vectorized=True, n_resamples=np.inf,
+        )  # fmt: skip
+        assert sign_flip(data).p == pytest.approx(oracle.pvalue)
+
+
 def test_the_same_differences_give_the_same_p() -> None:
     data = np.random.default_rng(1).normal(0.2, 1, 60)
     assert sign_flip(data) == sign_flip(data)

@@ -16,7 +16,7 @@ from beliefs import belief
 from drawing import draw
 from mapreplay.analysis.diagnosis.blame import trace_blame
 from mapreplay.analysis.diagnosis.claims import Claims
-from mapreplay.analysis.diagnosis.corpus import costs, groups, kind_counts, rate
+from mapreplay.analysis.diagnosis.corpus import costs, groups, kind_counts
 from mapreplay.analysis.diagnosis.detect import Ending, NearMissKind, runs
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, diagnose
 from mapreplay.analysis.diagnosis.frame import sealing_frame
@@ -462,15 +462,6 @@ def test_what_it_cost_to_get_out(diagnosis: Diagnosis, tmp_path: Path) -> None:
     assert cost.metres.mean == sealing.metres
     assert cost.share.mean == sealing.moves / (freed.steps - 1)
     assert costs([diagnosis]) == []
-
-
-def test_an_interval_is_wilsons() -> None:
-    half = rate(5, 10)
-    assert (half.low, half.high) == (
-        pytest.approx(0.2366, abs=1e-3),
-        pytest.approx(0.7634, abs=1e-3),
-    )
-    assert math.isnan(rate(0, 0).share)
 
 
 def test_claims_are_right_as_often_as_counted() -> None:

@@ -6,11 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drawing import find, plan
+from exact_tour import shortest
 from mapreplay.analysis.limits.bound import lower_bound, potential_bound, reach_bound
-from mapreplay.analysis.limits.exact import shortest
 from mapreplay.analysis.limits.measure import fused_knowledge
 from mapreplay.analysis.limits.predicted import predicted_tour
-from mapreplay.analysis.limits.task import Ints, Task, needed_cells, task_of
+from mapreplay.analysis.limits.task import CoverageTask, Ints, needed_cells, task_of
 from mapreplay.analysis.limits.tour import Tour, short_tour
 from mapreplay.errors import FloorPlanError
 from mapreplay.floorplan import FloorPlan, explorable
@@ -43,7 +43,9 @@ STAR = """
 """
 
 
-def drawn(picture: str, target: float = 1.0, sensor: Sensor = SHORT_SIGHT, within: int = 0) -> Task:
+def drawn(
+    picture: str, target: float = 1.0, sensor: Sensor = SHORT_SIGHT, within: int = 0
+) -> CoverageTask:
     return task_of(plan(picture), Cell(*find(picture, "S")), target, sensor, within)
 
 
@@ -102,7 +104,7 @@ def test_unknown_cells_of_a_robots_map_are_never_needed() -> None:
     assert shortest(task) == 0
 
 
-def observed_after(floor_plan: FloorPlan, task: Task, tour: Tour, sensor: Sensor) -> float:
+def observed_after(floor_plan: FloorPlan, task: CoverageTask, tour: Tour, sensor: Sensor) -> float:
     """The simulator's coverage of the observed map after a tour, each step of it a move."""
     observed = np.full(floor_plan.shape, UNKNOWN, np.int8)
     path = task.places[tour.path]

@@ -13,14 +13,14 @@ from typing import Final
 import numpy as np
 
 from mapreplay.analysis.limits import kernels
-from mapreplay.analysis.limits.task import Task
+from mapreplay.analysis.limits.task import CoverageTask
 from mapreplay.analysis.limits.tour import short_tour
 from mapreplay.errors import FloorPlanError
 
 MAX_STATES: Final = 200_000
 
 
-def shortest(task: Task, max_states: int = MAX_STATES) -> int:
+def shortest(task: CoverageTask, max_states: int = MAX_STATES) -> int:
     """Moves of the shortest tour after which enough is known.
 
     Raises:
@@ -64,7 +64,7 @@ def _bits(numbers: list[int]) -> int:
     return sum(1 << n for n in numbers)
 
 
-def _within(task: Task, views: list[int], most: int) -> list[list[int]]:
+def _within(task: CoverageTask, views: list[int], most: int) -> list[list[int]]:
     """Of each place, and each number of moves up to `most`, what can be seen within them."""
     away = np.empty(len(views), np.int32)
     queue = np.empty_like(away)
