@@ -21,13 +21,13 @@ import numpy.typing as npt
 
 from mapreplay import mapping
 from mapreplay.config import EpisodeConfig
-from mapreplay.episode import Episode, Past, prepare_episode, run_episode
+from mapreplay.episode import Episode, prepare_episode, run_episode
 from mapreplay.errors import UsageError
-from mapreplay.floorplan import explorable
-from mapreplay.grid import FREE, OCCUPIED, Grid, Mask
+from mapreplay.grid import FREE, OCCUPIED, Grid
 from mapreplay.mapping import Thresholds
 from mapreplay.predictors import Predictor, choice_of, load_predictor
 from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.stages import Past
 from mapreplay.step import OURS, Branch, EpisodeHeader, PredictorIdentity, Step
 
 TRUTH: Final = "truth"
@@ -120,14 +120,11 @@ def lineage(header: EpisodeHeader) -> list[EpisodeHeader]:
     return [*before, header]
 
 
-def run_again(
-    header: EpisodeHeader, region: Mask, predictors: Sequence[Predictor]
-) -> Iterator[Step]:
+def run_again(header: EpisodeHeader, predictors: Sequence[Predictor]) -> Iterator[Step]:
     """Run an episode from what a log says once: all parents up to their branches, in turn.
 
     Args:
         header: Of the log.
-        region: bool[H, W], the explorable cells.
         predictors: One for each header of the `lineage`.
 
     Raises:
@@ -138,7 +135,7 @@ def run_again(
     if header.branch is not None:
         before = header.branch.before
         past = Past.at_start(before)
-        parent = run_again(before, region, predictors[:-1])
+        parent = run_again(before, predictors[:-1])
         for step in islice(parent, header.branch.step):
             yield step
             if step.decision is None:
@@ -218,8 +215,7 @@ def prepare_branch(
     if is_set_right(header):
         used = set_right(used, header)
     header = replace(header, predictor=used.identity)
-    region = explorable(before.floor_plan.cells, before.start)
-    return BranchedEpisode(Episode(header, draft.planner, used, region), log, past_at(log, index))
+    return BranchedEpisode(Episode(header, draft.planner, used), log, past_at(log, index))
 
 
 def past_at(log: EpisodeLog, index: int) -> Past:

@@ -20,27 +20,26 @@ import numpy as np
 from mapreplay import mapping, plugins
 from mapreplay.analysis.branching import lineage, predictor_of, run_again
 from mapreplay.analysis.diff.steps import Difference, compare
-from mapreplay.episode import (
-    Past,
-    Travelled,
-    budget,
-    chosen_at,
-    decide,
-    events_of,
-    look_around,
-    measure,
-    outcome_of,
-    predict,
-    versions,
-)
+from mapreplay.episode import budget, versions
 from mapreplay.errors import LogError, PluginError, UsageError
-from mapreplay.grid import FREE, Cell, Grid, Mask, Quantized, check_grid
+from mapreplay.grid import FREE, Cell, Grid, Quantized, check_grid
 from mapreplay.planners import Planner, load_planner
 from mapreplay.recorders.log import step_table as table
 from mapreplay.recorders.log.header import EPISODE_RECORD, NO_STEPS, OUTCOME_RECORD
 from mapreplay.recorders.log.messages import Messages, Topic, stamp_ns_of
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.sensor import Hits, accumulate, sense
+from mapreplay.stages import (
+    Knowledge,
+    Past,
+    Travelled,
+    View,
+    chosen_at,
+    decide,
+    make_step,
+    measure,
+    predict,
+)
 from mapreplay.step import OURS, Decision, EpisodeHeader, PredictorIdentity, Step
 
 SHOWN: Final = 10
@@ -82,7 +81,7 @@ def verify(log: EpisodeLog, shown: int = SHOWN) -> Verification:
         return _verify_foreign(log, shown)
     truth = header.floor_plan.cells
     findings = _Findings(header, shown)
-    findings.add(_check_header(header, log.explorable))
+    findings.add(_check_header(header))
     planners = _Planners(findings)
     ending = _Ending(log)
     past = Past.at_start(header)
@@ -105,7 +104,7 @@ def verify(log: EpisodeLog, shown: int = SHOWN) -> Verification:
         # No planner has to cope with what is no probability.
         wrong = findings.add(_check_prediction(header, logged))
         asked = None if wrong else planners.get(header.config.planner)
-        expected = _conclude(header, log.explorable, asked, past, hits, observed, logged)
+        expected = _make_again(header, asked, past, hits, observed, logged)
         findings.add(compare(logged, expected))
         findings.add(ending.compare(logged))
         move = None
@@ -140,9 +139,7 @@ def _verify_foreign(log: EpisodeLog, shown: int) -> Verification:
         findings.add(_check_prediction(header, logged))
         fused = mapping.fuse(logged.observed, logged.p_wall, header.thresholds)
         path_length = travelled.metres(header.floor_plan.resolution)
-        metrics = measure(
-            header, log.explorable, logged.observed, logged.p_wall, logged.fused, path_length
-        )
+        metrics = measure(header, logged.observed, logged.p_wall, logged.fused, path_length)
         findings.add(compare(logged, replace(logged, fused=fused, metrics=metrics)))
         findings.add(ending.compare(logged))
     findings.add(ending.close())
@@ -168,8 +165,8 @@ def verify_rerun(log: EpisodeLog, device: str = "cpu", shown: int = SHOWN) -> Ve
         predictors.append(predictor_of(part, device))
         if findings.add(_check_predictor(part.predictor, predictors[-1].identity)):
             return findings.result()
-    findings.add(_check_header(header, log.explorable))
-    again, ending = run_again(header, log.explorable, predictors), _Ending(log)
+    findings.add(_check_header(header))
+    again, ending = run_again(header, predictors), _Ending(log)
     for logged, messages in log.steps_with_messages():
         expected = next(again, None)
         if expected is None:
@@ -216,7 +213,7 @@ def verify_step(
     )
     hits = sense(truth, logged.agent, header.sensor)
     predicted = replace(logged, p_wall=predict(header, predictor, logged.observed))
-    expected = _conclude(header, log.explorable, planner, past, hits, logged.observed, predicted)
+    expected = _make_again(header, planner, past, hits, logged.observed, predicted)
     # What these say depends on all steps before.
     known = replace(expected.metrics, path_length=logged.metrics.path_length)
     findings.steps = 1
@@ -327,9 +324,8 @@ class _Planners:
             return None
 
 
-def _conclude(
+def _make_again(
     header: EpisodeHeader,
-    region: Mask,
     planner: Planner | None,
     past: Past,
     hits: Hits,
@@ -338,45 +334,32 @@ def _conclude(
 ) -> Step:
     """The step that follows from a scan, the observed map and the logged prediction.
 
-    Without a planner, the logged decision is taken over, with the mode that is right.
+    Without a planner, the logged decision is taken over, with the mode that is right. What was
+    chosen is taken over like the prediction itself.
     """
     p_wall = logged.p_wall
     fused = mapping.fuse(observed, p_wall, header.thresholds)
     path_length = past.travelled.metres(header.floor_plan.resolution)
-    metrics = measure(header, region, observed, p_wall, fused, path_length)
-    view = look_around(header.config, past.agent, observed, fused)
-    outcome = outcome_of(header, past.index, metrics, view)
-    decision: Decision | None = None
-    if outcome is None and planner is not None:
-        decision = decide(header, planner, past, observed, p_wall, view)
-    elif outcome is None and logged.decision is not None:
-        decision = replace(logged.decision, mode=view.mode)
-    return Step(
-        index=past.index,
-        agent=past.agent,
-        hits=hits,
-        observed=observed,
-        p_wall=p_wall,
-        fused=fused,
-        frontier=view.frontier,
-        decision=decision,
-        metrics=metrics,
-        # What was chosen is taken over like the prediction itself.
-        events=events_of(header, past, metrics, view, outcome, chosen_at(logged)),
-        outcome=outcome,
-        profile=None,
-    )
+    metrics = measure(header, observed, p_wall, fused, path_length)
+
+    def decide_again(view: View) -> Decision | None:
+        if planner is not None:
+            return decide(header, planner, past, observed, p_wall, view)
+        return replace(logged.decision, mode=view.mode) if logged.decision else None
+
+    known = Knowledge(hits, observed, p_wall, fused, metrics, chosen_at(logged))
+    return make_step(header, past, known, decide_again)
 
 
-def _check_header(header: EpisodeHeader, region: Mask) -> Iterator[Difference]:
+def _check_header(header: EpisodeHeader) -> Iterator[Difference]:
     """The start and the budget follow from the configuration and the floor plan."""
     for part in lineage(header):
-        yield from _check_start(part, region)
+        yield from _check_start(part)
 
 
-def _check_start(header: EpisodeHeader, region: Mask) -> Iterator[Difference]:
+def _check_start(header: EpisodeHeader) -> Iterator[Difference]:
     config, plan = header.config, header.floor_plan
-    start, steps = plan.check_start(config.start_cell), budget(config, plan, region)
+    start, steps = plan.check_start(config.start_cell), budget(config, plan, header.explorable)
     if header.start != start:
         yield Difference(None, EPISODE_RECORD, "start", None, header.start, start)
     elif header.max_steps != steps:

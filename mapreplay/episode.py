@@ -1,42 +1,30 @@
-"""The exploration loop: sense, accumulate, predict, fuse, score, plan, move."""
+"""The exploration loop: sense, accumulate, predict, fuse, score, plan, move.
+
+for step in run_episode(prepare_episode(config, floor_plan)): ...
+record(episode, EpisodeWriter(path, episode.header), ...)
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib.metadata import version
 from itertools import pairwise
 from time import perf_counter_ns
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 
-from mapreplay import mapping, scores
-from mapreplay.config import EpisodeConfig, MapKind
-from mapreplay.errors import MapreplayError
+from mapreplay import mapping
+from mapreplay.config import EpisodeConfig
 from mapreplay.floorplan import FloorPlan, explorable
-from mapreplay.grid import FREE, UNKNOWN, Cell, Grid, Mask, Quantized
-from mapreplay.kernels import SQRT2
-from mapreplay.planners import Choice, Planner, load_planner
-from mapreplay.planning import Paths, Situation, frontier, shortest_paths
+from mapreplay.grid import FREE, Mask
+from mapreplay.planners import Planner, load_planner
 from mapreplay.predictors import Predictor, choice_of, load_predictor
-from mapreplay.randomness import Draws, Purpose
 from mapreplay.sensor import accumulate, sense
-from mapreplay.step import (
-    MAX_RIVALS,
-    Candidate,
-    Cells,
-    Decision,
-    EpisodeHeader,
-    Event,
-    EventKind,
-    Mode,
-    Outcome,
-    Step,
-    StepMetrics,
-    StepProfile,
-)
+from mapreplay.stages import Knowledge, Past, decide, make_step, measure, predict
+from mapreplay.step import EpisodeHeader, Step, StepProfile
 
 STEPS_PER_FREE_CELL: Final = 4
 
@@ -48,8 +36,6 @@ class Episode:
     header: EpisodeHeader
     planner: Planner
     predictor: Predictor
-    explorable: Mask
-    """bool[H, W], from the start."""
 
 
 def prepare_episode(
@@ -77,7 +63,7 @@ def prepare_episode(
         predictor=predictor.identity,
         versions=versions(),
     )
-    return Episode(header, planner or load_planner(config.planner), predictor, region)
+    return Episode(header, planner or load_planner(config.planner), predictor)
 
 
 def budget(config: EpisodeConfig, floor_plan: FloorPlan, region: Mask) -> int:
@@ -90,76 +76,6 @@ def budget(config: EpisodeConfig, floor_plan: FloorPlan, region: Mask) -> int:
 def versions() -> tuple[tuple[str, str], ...]:
     """(library, version) of what a result depends on, sorted."""
     return tuple((name, version(name)) for name in ("mapreplay", "numba", "numpy", "torch"))
-
-
-@dataclass(frozen=True)
-class Travelled:
-    """How far the agent has come, as an integer pair, so that equal ways are equally long."""
-
-    straight: int = 0
-    diagonal: int = 0
-
-    def to(self, before: Cell, after: Cell) -> Travelled:
-        """With the way from one cell to another added.
-
-        Ours are neighbours; between those of a log that leaves out poses, the shortest way
-        over open space counts.
-        """
-        rows, cols = abs(after.row - before.row), abs(after.col - before.col)
-        diagonal = min(rows, cols)
-        return Travelled(self.straight + max(rows, cols) - diagonal, self.diagonal + diagonal)
-
-    def metres(self, resolution: float) -> float:
-        """The length of the way; `resolution` is in metres a cell."""
-        return (self.straight + self.diagonal * SQRT2) * resolution
-
-
-@dataclass(frozen=True, eq=False)
-class Past:
-    """What a step takes over from those before it."""
-
-    index: int
-    """Of the step."""
-    agent: Cell
-    """Where it is at the step."""
-    travelled: Travelled
-    observed: Grid
-    """int8[H, W], before the step's scan."""
-    previous_target: Cell | None
-    sealed: bool
-    """The step before was in fail-safe mode."""
-    corrected: bool
-    """The target of correct coverage was reached before."""
-    choice: str | None = None
-    """What the predictor last said that it chose; see `mapreplay.predictors.Choosing`."""
-
-    @classmethod
-    def at_start(cls, header: EpisodeHeader) -> Past:
-        """Before the first step: nothing is known."""
-        nothing: Grid = np.full(header.floor_plan.shape, UNKNOWN, np.int8)
-        return cls(0, header.start, Travelled(), nothing, None, sealed=False, corrected=False)
-
-    def after(self, step: Step, agent: Cell, header: EpisodeHeader) -> Past:
-        """Before the step that follows `step`, with the agent moved to `agent`."""
-        config = header.config
-        right = step.metrics.correct_coverage(config.build)
-        chosen = chosen_at(step)
-        return Past(
-            index=self.index + 1,
-            agent=agent,
-            travelled=self.travelled.to(self.agent, agent),
-            observed=step.observed,
-            previous_target=step.decision.target if step.decision else None,
-            sealed=step.mode is Mode.FAIL_SAFE,
-            corrected=self.corrected or right >= config.correct_coverage,
-            choice=self.choice if chosen is None else chosen,
-        )
-
-
-def chosen_at(step: Step) -> str | None:
-    """What the predictor said at `step` that it chose; None if nothing new."""
-    said = [event.text for event in step.events if event.kind is EventKind.PREDICTOR]
-    return said[-1] if said else None
 
 
 def run_episode(episode: Episode, past: Past | None = None) -> Iterator[Step]:
@@ -190,261 +106,46 @@ def run_episode(episode: Episode, past: Past | None = None) -> Iterator[Step]:
         if same:
             metrics = replace(same.metrics, path_length=path_length)
         else:
-            metrics = measure(header, episode.explorable, observed, p_wall, fused, path_length)
+            metrics = measure(header, observed, p_wall, fused, path_length)
         clock.append(perf_counter_ns())
-        view = look_around(header.config, past.agent, observed, fused)
-        outcome = outcome_of(header, past.index, metrics, view)
-        decision = None
-        if outcome is None:
-            decision = decide(header, episode.planner, past, observed, p_wall, view)
-        clock.append(perf_counter_ns())
-        step = Step(
-            index=past.index,
-            agent=past.agent,
-            hits=hits,
-            observed=observed,
-            p_wall=p_wall,
-            fused=fused,
-            frontier=view.frontier,
-            decision=decision,
-            metrics=metrics,
-            events=events_of(header, past, metrics, view, outcome, choice),
-            outcome=outcome,
-            profile=StepProfile(*(after - before for before, after in pairwise(clock))),
+        known = Knowledge(hits, observed, p_wall, fused, metrics, choice)
+        step = make_step(
+            header, past, known, partial(decide, header, episode.planner, past, observed, p_wall)
         )
+        clock.append(perf_counter_ns())
+        profile = StepProfile(*(after - before for before, after in pairwise(clock)))
+        step = replace(step, profile=profile)
         yield step
         last = step
-        if decision is None:
+        if step.decision is None:
             return
-        past = past.after(step, decision.next_cell, header)
+        past = past.after(step, step.decision.next_cell, header)
 
 
-def predict(header: EpisodeHeader, predictor: Predictor, observed: Grid) -> Quantized | None:
-    """The prediction as it is used and logged: quantized.
+class StepSink(Protocol):
+    """What steps go to: the writer of a log, a table of scalars, a live view."""
 
-    Raises:
-        MapreplayError: the predictor returned something that is no P(occupied) of that map.
-    """
-    raw = predictor.predict(observed)
-    if raw is None:
-        return None
-    name = predictor.identity.name
-    if raw.shape != observed.shape:
-        raise MapreplayError(
-            f"predictor {name!r} returned shape {raw.shape} for a map of {observed.shape}"
-        )
-    try:
-        return mapping.quantize(raw, header.config.prediction_dtype)
-    except ValueError as error:
-        raise MapreplayError(f"predictor {name!r}: {error}") from None
+    def add(self, step: Step) -> object:
+        """Take the next step."""
+        ...
 
 
-@dataclass(frozen=True, eq=False)
-class View:
-    """What the agent can go for at a step, and on which maps."""
+def record(episode: Episode | Iterable[Step], *sinks: StepSink) -> Step:
+    """Run an episode, and give every step to every sink, in order; returns the last step.
 
-    mode: Mode
-    plan_map: Grid
-    build_map: Grid
-    paths: Paths
-    frontier: Cells
-
-
-def look_around(config: EpisodeConfig, agent: Cell, observed: Grid, fused: Grid) -> View:
-    """The frontier of the configured maps, or of the observed ones where that is the rule.
-
-    When planning on observations finds no frontier of the fused map, that of the observed
-    map is taken. When fused/fused finds none, the agent is sealed in; with the fail-safe it
-    plans on observations until the frontier is back.
-    """
-    maps = {MapKind.OBSERVED: observed, MapKind.FUSED: fused}
-    plan_map, build_map = maps[config.plan_on], maps[config.build]
-    paths = shortest_paths(plan_map, agent)
-    cells = frontier(paths, build_map)
-    if len(cells):
-        return View(Mode.NORMAL, plan_map, build_map, paths, cells)
-    if config.plan_on is MapKind.OBSERVED:
-        return View(Mode.NORMAL, plan_map, observed, paths, frontier(paths, observed))
-    if config.fail_safe and config.build is MapKind.FUSED:
-        paths = shortest_paths(observed, agent)
-        cells = frontier(paths, observed)
-        if len(cells):
-            return View(Mode.FAIL_SAFE, observed, observed, paths, cells)
-    return View(Mode.NORMAL, plan_map, build_map, paths, cells)
-
-
-def outcome_of(
-    header: EpisodeHeader, index: int, metrics: StepMetrics, view: View
-) -> Outcome | None:
-    """How the episode ends at step `index`, or None if it goes on."""
-    config = header.config
-    if metrics.coverage(config.build) >= config.coverage:
-        return Outcome.MAPPED
-    if index >= header.max_steps:
-        return Outcome.OUT_OF_STEPS
-    if not len(view.frontier):
-        return Outcome.SEALED_IN
-    return None
-
-
-def events_of(
-    header: EpisodeHeader,
-    past: Past,
-    metrics: StepMetrics,
-    view: View,
-    outcome: Outcome | None,
-    choice: str | None = None,
-) -> tuple[Event, ...]:
-    """What is worth a line in the log of a step; `choice`: what the predictor chose for it."""
-    config, events = header.config, []
-    if choice is not None and choice != past.choice:
-        events.append(Event(EventKind.PREDICTOR, choice))
-    if (view.mode is Mode.FAIL_SAFE or outcome is Outcome.SEALED_IN) and not past.sealed:
-        events.append(Event(EventKind.SEALED_IN, "the fused map has no frontier within reach"))
-    if past.sealed and view.mode is Mode.NORMAL and outcome is not Outcome.SEALED_IN:
-        events.append(Event(EventKind.RELEASED, "the fused map has a frontier again"))
-    right = metrics.correct_coverage(config.build)
-    if right >= config.correct_coverage and not past.corrected:
-        events.append(
-            Event(EventKind.CORRECT_REACHED, f"correct coverage {right:.4f} of the built map")
-        )
-    if outcome is Outcome.MAPPED:
-        covered = metrics.coverage(config.build)
-        events.append(Event(EventKind.TARGET_REACHED, f"coverage {covered:.4f} of the built map"))
-    if outcome is not None:
-        events.append(Event(EventKind.OUTCOME, f"{outcome} after {past.index} steps"))
-    return tuple(events)
-
-
-def ask(
-    header: EpisodeHeader,
-    planner: Planner,
-    past: Past,
-    observed: Grid,
-    p_wall: Quantized | None,
-    view: View,
-) -> Choice:
-    """What the planner makes of the frontier of `view`: a rating of each of its cells.
+    Args:
+        episode: A prepared one, or the steps of one, such as a log's.
+        sinks: Closing them is their owner's business (``with EpisodeWriter(...) as writer``).
 
     Raises:
-        MapreplayError: the planner's answer does not fit the frontier.
+        MapreplayError: the predictor or planner returned something impossible, or a sink failed.
+        ValueError: there are no steps.
     """
-    config = header.config
-    on_fused = config.plan_on is MapKind.FUSED and view.mode is Mode.NORMAL
-    choice = planner.choose(
-        Situation(
-            agent=past.agent,
-            plan_map=view.plan_map,
-            build_map=view.build_map,
-            observed=observed,
-            prediction=p_wall if on_fused else None,
-            frontier=view.frontier,
-            paths=view.paths,
-            previous_target=past.previous_target,
-            draws=Draws(config.seed, Purpose.PLANNER, past.index),
-            sensor=header.sensor,
-        )
-    )
-    count = len(view.frontier)
-    if not (0 <= choice.index < count and len(choice.utility) == len(choice.reward) == count):
-        raise MapreplayError(
-            f"planner {config.planner!r} chose number {choice.index} of {count} frontier cells "
-            f"and rated {len(choice.utility)}"
-        )
-    return choice
-
-
-def decide(
-    header: EpisodeHeader,
-    planner: Planner,
-    past: Past,
-    observed: Grid,
-    p_wall: Quantized | None,
-    view: View,
-) -> Decision:
-    """Ask the planner, and write down what it chose and what it left.
-
-    Raises:
-        MapreplayError: the planner's answer does not fit the frontier.
-    """
-    choice = ask(header, planner, past, observed, p_wall, view)
-    ranking = [choice.index]
-    order = np.lexsort((view.paths.costs(view.frontier), -choice.utility))[: MAX_RIVALS + 1]
-    ranking += [i for i in order.tolist() if i != choice.index][:MAX_RIVALS]
-    candidates = _candidates(view, choice, ranking)
-    return Decision(
-        chosen=candidates[0],
-        path=view.paths.to(candidates[0].cell),
-        mode=view.mode,
-        rivals=candidates[1:],
-        random_draw=choice.random_draw,
-    )
-
-
-def _candidates(view: View, choice: Choice, indices: list[int]) -> tuple[Candidate, ...]:
-    """The frontier cells of those numbers, with how they were rated."""
-    cells = view.frontier[indices]
-    rows, cols = cells[:, 0], cells[:, 1]
-    return tuple(
-        Candidate(Cell(*cell), *rest)
-        for cell, *rest in zip(
-            cells.tolist(),
-            choice.utility[indices].tolist(),
-            choice.reward[indices].tolist(),
-            view.paths.straight[rows, cols].tolist(),
-            view.paths.diagonal[rows, cols].tolist(),
-            strict=True,
-        )
-    )
-
-
-_NO_SCORE: Final = scores.MapScore(*[float("nan")] * 4)
-_NO_CALIBRATION: Final = scores.Calibration(*[float("nan")] * 2)
-
-
-def measure(
-    header: EpisodeHeader,
-    region: Mask,
-    observed: Grid,
-    p_wall: Quantized | None,
-    fused: Grid,
-    path_length: float,
-    unknown_as: scores.UnknownAs = scores.UnknownAs.FREE,
-) -> StepMetrics:
-    """All scores of a step, over the cells of `region` (bool[H, W]); see `StepMetrics`."""
-    truth = header.floor_plan.cells
-    observed_counts = scores.tally(observed, truth, region)
-    observed_score = scores.score(observed_counts, unknown_as)
-    fused_counts, built_score = observed_counts, observed_score
-    thresholded_score = raw_score = _NO_SCORE
-    everywhere = unobserved = _NO_CALIBRATION
-    if p_wall is not None:
-        fused_counts = scores.tally(fused, truth, region)
-        if header.config.build is MapKind.FUSED:
-            built_score = scores.score(fused_counts, unknown_as)
-        sure = mapping.threshold(p_wall, header.thresholds)
-        thresholded_score = scores.score(scores.tally(sure, truth, region), unknown_as)
-        raw = mapping.raw_classes(p_wall)
-        raw_score = scores.score(scores.tally(raw, truth, region), unknown_as)
-        everywhere = scores.calibration(p_wall, truth, region)
-        unobserved = scores.calibration(p_wall, truth, region & (observed == UNKNOWN))
-    seen, known = scores.coverage(observed_counts), scores.coverage(fused_counts)
-
-    def four(score: scores.MapScore) -> tuple[float, float, float, float]:
-        return score.precision, score.recall, score.f1, score.iou
-
-    return StepMetrics(
-        path_length,
-        seen.known,
-        known.known,
-        seen.correct,
-        known.correct,
-        *four(built_score),
-        *four(observed_score),
-        *four(thresholded_score),
-        *four(raw_score),
-        everywhere.brier,
-        everywhere.log_loss,
-        unobserved.brier,
-        unobserved.log_loss,
-    )
+    steps = run_episode(episode) if isinstance(episode, Episode) else episode
+    last: Step | None = None
+    for last in steps:
+        for sink in sinks:
+            sink.add(last)
+    if last is None:
+        raise ValueError("an episode without steps")
+    return last

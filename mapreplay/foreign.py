@@ -22,12 +22,13 @@ import numpy.typing as npt
 
 from mapreplay import mapping
 from mapreplay.config import EpisodeConfig
-from mapreplay.episode import Travelled, measure, versions
+from mapreplay.episode import versions
 from mapreplay.errors import UsageError
-from mapreplay.floorplan import FloorPlan, explorable
+from mapreplay.floorplan import FloorPlan
 from mapreplay.grid import FREE, UNKNOWN, Cell, Grid, Origin, check_grid
 from mapreplay.planning import shortest_paths
 from mapreplay.sensor import Hits
+from mapreplay.stages import Travelled, measure
 from mapreplay.step import (
     Candidate,
     Cells,
@@ -101,7 +102,6 @@ class ForeignEpisode:
             versions=versions(),
             simulator=simulator,
         )
-        self._region = explorable(floor_plan.cells, self.header.start)
         self._index = 0
         self._agent = self.header.start
         self._travelled = Travelled()
@@ -159,7 +159,7 @@ class ForeignEpisode:
             fused=fused,
             frontier=np.empty((0, 2), np.int32) if frontier is None else frontier,
             decision=None if target is None or ended else self._decision(cell, target, fused),
-            metrics=measure(header, self._region, observed, quantized, fused, length),
+            metrics=measure(header, observed, quantized, fused, length),
             events=_ending(ended, self._index),
             outcome=ended,
             profile=None,

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from enum import StrEnum
+from functools import cached_property
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from mapreplay.config import EpisodeConfig, MapKind
-from mapreplay.floorplan import FloorPlan
-from mapreplay.grid import Cell, Grid, Quantized
+from mapreplay.floorplan import FloorPlan, explorable
+from mapreplay.grid import Cell, Grid, Mask, Quantized
 from mapreplay.kernels import SQRT2
 from mapreplay.mapping import Thresholds
 from mapreplay.sensor import Hits, Sensor
@@ -230,6 +231,11 @@ class EpisodeHeader:
     """Who made the steps: ours, or the name of another, whose steps cannot be made again."""
     branch: Branch | None = None
     """Of an episode that was run on from a step of another log."""
+
+    @cached_property
+    def explorable(self) -> Mask:
+        """bool[H, W]: the cells that count, those that can be explored from the start."""
+        return explorable(self.floor_plan.cells, self.start)
 
     @property
     def sensor(self) -> Sensor:

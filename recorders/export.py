@@ -68,7 +68,7 @@ def _add_arrays(archive: zipfile.ZipFile, log: EpisodeLog) -> None:
     count, shape = len(agents), log.header.floor_plan.shape
     arrays = {
         "truth": log.header.floor_plan.cells,
-        "explorable": log.explorable,
+        "explorable": log.header.explorable,
         "agent": np.array(agents, np.int32).reshape(count, 2),
         "target": np.array(targets, np.int32).reshape(count, 2),
         "hits": np.array(hits, np.int16),

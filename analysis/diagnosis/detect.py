@@ -16,9 +16,9 @@ from mapreplay.analysis.diagnosis.reach import (
     set_right,
 )
 from mapreplay.config import MapKind
-from mapreplay.episode import Past
-from mapreplay.grid import UNKNOWN, Cell, Grid, Mask
+from mapreplay.grid import UNKNOWN, Cell, Grid
 from mapreplay.mapping import fuse, overlay
+from mapreplay.stages import Past
 from mapreplay.step import EpisodeHeader, Mode, Outcome, Step
 
 NEXT_STEPS: Final = 3
@@ -174,9 +174,9 @@ _ENDINGS: Final = {
 class NearMissDetector:
     """Takes the steps of an episode in order, and whether the agent is sealed in at each."""
 
-    def __init__(self, header: EpisodeHeader, region: Mask, scratch: Scratch) -> None:
+    def __init__(self, header: EpisodeHeader, scratch: Scratch) -> None:
         self._header = header
-        self._region = region
+        self._region = header.explorable
         self._scratch = scratch
         self._recent: deque[tuple[int, Cell, Grid]] = deque(maxlen=NEXT_STEPS)
         self._steps: dict[NearMissKind, dict[int, Cell]] = {kind: {} for kind in NearMissKind}

@@ -104,12 +104,12 @@ def diagnose(log: EpisodeLog) -> Diagnosis:
         LogError: the log cannot be read.
         MapreplayError: the planner returned something impossible.
     """
-    header, region = log.header, log.explorable
+    header, region = log.header, log.header.explorable
     plan, notes = header.floor_plan, list(_limits(log))
     scratch = Scratch(plan.shape)
     sealing = None if can_be_sealed(header) else SealingDetector(header, scratch)
-    near = NearMissDetector(header, region, scratch)
-    harms, claims = HarmDetector(header, region), ClaimCounter(plan.cells, region)
+    near = NearMissDetector(header, scratch)
+    harms, claims = HarmDetector(header), ClaimCounter(plan.cells, region)
     width = widths(plan.cells) if plan.has_truth else np.zeros(plan.shape, np.int64)
     walked = np.zeros(int(width.max()) + 1, np.int64)
     last: Step | None = None
@@ -137,7 +137,7 @@ def diagnose(log: EpisodeLog) -> Diagnosis:
         sealings=_explain(log, spans, scratch, notes),
         near_misses=tuple(near.near_misses()),
         harms=tuple(harms.harms()),
-        coverage=wrong_coverage(header, region, last) if plan.has_truth and last else None,
+        coverage=wrong_coverage(header, last) if plan.has_truth and last else None,
         claims=claims.result(),
         walked=walked,
         notes=tuple(notes),
@@ -206,7 +206,7 @@ def _sealing(
     scratch: Scratch,
 ) -> Sealing:
     step, header = span.first, log.header.at(span.first.index)
-    truth, region = header.floor_plan.cells, log.explorable
+    truth = header.floor_plan.cells
     believed = reached(step.fused, step.agent)
     inside = truly_inside(truth, believed, step.agent)
     unseen = hidden(truth, step.fused, step.agent)
@@ -222,7 +222,7 @@ def _sealing(
         walls = threshold_of_walls(step.observed, step.fused, step.p_wall, believed)
         free = threshold_of_free(step.observed, step.fused, step.p_wall, believed)
         if planner is not None:
-            moves = fail_safe_moves(header, region, planner, span, scratch)
+            moves = fail_safe_moves(header, planner, span, scratch)
     sealing = Sealing(
         kind=taxonomy.UNCLASSIFIED,
         first_step=step.index,

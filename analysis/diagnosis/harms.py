@@ -96,9 +96,9 @@ class _GivenUp:
 class HarmDetector:
     """Takes the steps of an episode in order."""
 
-    def __init__(self, header: EpisodeHeader, region: Mask) -> None:
+    def __init__(self, header: EpisodeHeader) -> None:
         self._truth = header.floor_plan.cells
-        self._region = region
+        self._region = header.explorable
         self._targets: dict[int, Cell] = {}
         self._phantoms: list[int] = []
         self._passages: list[int] = []
@@ -152,9 +152,9 @@ class HarmDetector:
         yield from self._oscillations
 
 
-def wrong_coverage(header: EpisodeHeader, region: Mask, last: Step) -> WrongCoverage:
+def wrong_coverage(header: EpisodeHeader, last: Step) -> WrongCoverage:
     """What the map that was built claims at the last step, on explorable cells."""
-    config, truth = header.config, header.floor_plan.cells
+    config, truth, region = header.config, header.floor_plan.cells, header.explorable
     built = last.observed if config.build is MapKind.OBSERVED else last.fused
     correct = last.metrics.correct_coverage(config.build)
     return WrongCoverage(

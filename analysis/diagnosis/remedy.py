@@ -136,7 +136,7 @@ class _Frozen:
 
 
 def fail_safe_moves(
-    header: EpisodeHeader, region: Mask, planner: Planner, span: Span, scratch: Scratch
+    header: EpisodeHeader, planner: Planner, span: Span, scratch: Scratch
 ) -> int | None:
     """Moves that the fail-safe would make until the agent has a frontier again.
 
@@ -145,7 +145,6 @@ def fail_safe_moves(
 
     Args:
         header: Of the step.
-        region: bool[H, W], the explorable cells.
         planner: Of the episode.
         span: The sealing.
         scratch: For maps of this shape.
@@ -154,7 +153,7 @@ def fail_safe_moves(
         return None
     config = header.config.model_copy(update={"fail_safe": True})
     frozen = _Frozen(dequantize(span.first.p_wall))
-    episode = Episode(replace(header, config=config), planner, frozen, region)
+    episode = Episode(replace(header, config=config), planner, frozen)
     for step in run_episode(episode, span.past):
         out = scratch.has_way_out(step.fused, step.agent)
         if out or step.outcome is not None:

@@ -12,12 +12,12 @@ from mapreplay import plugins
 from mapreplay.analysis.diff.divergence import Layer, Moment, Partings
 from mapreplay.analysis.diff.steps import as_text, compare
 from mapreplay.analysis.reporting.wording import counted
-from mapreplay.episode import Past, Travelled, ask, look_around
 from mapreplay.errors import MapreplayError
 from mapreplay.grid import UNKNOWN, Cell
 from mapreplay.mapping import dequantize
 from mapreplay.planners import load_planner
 from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.stages import Past, Travelled, ask, look_around
 from mapreplay.step import Candidate, Decision, Step
 
 

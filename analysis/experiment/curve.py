@@ -150,7 +150,7 @@ def _walk(plan: FloorPlan) -> tuple[Mask, Iterator[Grid]]:
     """The explorable cells (bool[H, W]), and the observed map after every observation."""
     config = EpisodeConfig(planner="nearest", plan_on=MapKind.OBSERVED, build=MapKind.OBSERVED)
     episode = prepare_episode(config, plan)
-    return episode.explorable, (step.observed for step in run_episode(episode))
+    return episode.header.explorable, (step.observed for step in run_episode(episode))
 
 
 def _predict(predictor: Predictor, observed: Grid) -> npt.NDArray[np.uint8] | None:

@@ -23,11 +23,11 @@ from mapreplay.analysis.metrics.calibration import (
     score_columns,
 )
 from mapreplay.analysis.metrics.registry import Metric, guarded
-from mapreplay.episode import Travelled, measure
 from mapreplay.grid import Cell, Grid, Mask, Quantized
 from mapreplay.mapping import certainty
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.scores import UnknownAs
+from mapreplay.stages import Travelled, measure
 from mapreplay.step import Step, StepMetrics
 
 Floats = npt.NDArray[np.float64]
@@ -105,7 +105,7 @@ def measure_log(
     """
     scope, metrics = scope or Scope(), metrics or {}
     plan, recorded = log.header.floor_plan, log.table()
-    cells = np.ones(plan.shape, np.bool_) if scope.everywhere else log.explorable
+    cells = np.ones(plan.shape, np.bool_) if scope.everywhere else log.header.explorable
     travelled, agent = Travelled(), log.header.start
     predictions = _Predictions(plan.cells, cells)
     rows, further = [], []
@@ -116,7 +116,7 @@ def measure_log(
         travelled = travelled.to(before, agent)
         length = travelled.metres(plan.resolution)
         observed, p_wall, fused = look.observed, look.p_wall, look.fused
-        scores = measure(header, cells, observed, p_wall, fused, length, scope.unknown_as)
+        scores = measure(header, observed, p_wall, fused, length, scope.unknown_as, cells)
         rows.append(_values(scores))
         predictions.add(observed, p_wall)
         if look.step is not None:

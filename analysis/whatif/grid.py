@@ -102,7 +102,7 @@ def what_if(
         some |= predicted is not None
         p_wall = nothing if predicted is None else predicted
         free, occupied = grid.levels(p_wall)
-        of_step = _scores(observed, p_wall, truth, log.explorable, free, occupied)
+        of_step = _scores(observed, p_wall, truth, log.header.explorable, free, occupied)
         f1[k], coverage[k], correct[k] = of_step
         kernels.sealed_thresholds(p_wall, observed, row, col, free, occupied, sealed[k])
         reached |= coverage[k] >= header.config.coverage

@@ -26,12 +26,13 @@ import matplotlib.pyplot as plt
 
 from mapreplay.analysis.stats.estimates import Estimate, mean_interval, paired_reduction, proportion
 from mapreplay.config import EpisodeConfig, MapKind
-from mapreplay.episode import chosen_at, prepare_episode, run_episode
+from mapreplay.episode import prepare_episode, run_episode
 from mapreplay.floorplan import FloorPlan
 from mapreplay.floorplans import open_source, read_ids, select
 from mapreplay.grid import Grid
 from mapreplay.predictors import Predictor, choice_of, load_predictor
 from mapreplay.predictors.auto import PREDICTOR_OF
+from mapreplay.stages import chosen_at
 from mapreplay.step import PredictorIdentity
 
 REFERENCE = "observed"

@@ -30,7 +30,7 @@ def info(
         ("floor plan", "id", plan.id),
         ("floor plan", "cells", f"{plan.shape[0]} x {plan.shape[1]}"),
         ("floor plan", "resolution", f"{plan.resolution} m a cell"),
-        ("floor plan", "explorable cells", int(opened.explorable.sum())),
+        ("floor plan", "explorable cells", int(opened.header.explorable.sum())),
         ("floor plan", "true map", "known" if plan.has_truth else "not known"),
         ("floor plan", "sha256", plan.sha256),
         ("agent", "start", "row {}, col {}".format(*header.start)),

@@ -17,8 +17,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
 from mapreplay.errors import LogError, MapreplayError
-from mapreplay.floorplan import explorable
-from mapreplay.grid import Grid, Mask, Quantized
+from mapreplay.grid import Grid, Quantized
 from mapreplay.recorders.log import step_table as table
 from mapreplay.recorders.log.header import (
     EPISODE_RECORD,
@@ -126,11 +125,6 @@ class EpisodeLog:
     def outcome(self) -> Outcome | None:
         """How the episode ended; None if the log is unfinished, also if it was recovered."""
         return self.summary.outcome if self.summary else None
-
-    @cached_property
-    def explorable(self) -> Mask:
-        """bool[H, W]: the explorable cells, from the start."""
-        return explorable(self.header.floor_plan.cells, self.header.start)
 
     def __len__(self) -> int:
         """Number of steps, the one at the start included."""

@@ -61,7 +61,7 @@ def test_what_was_recorded_comes_out_again_bit_for_bit(
 def unobserved(log: EpisodeLog, step: Step) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """p_wall, truth and distance of the cells that count at a step."""
     assert step.p_wall is not None
-    counted = log.explorable & (step.observed == UNKNOWN)
+    counted = log.header.explorable & (step.observed == UNKNOWN)
     p = dequantize(step.p_wall)[counted]
     if step.p_wall.dtype != np.uint8:
         p = np.rint(p * 4095) / 4095
@@ -109,7 +109,7 @@ def test_stability_is_the_change_on_cells_that_are_still_unobserved(
     before, now = log[6], log[7]
     assert before.p_wall is not None
     assert now.p_wall is not None
-    counted = log.explorable & (now.observed == UNKNOWN)
+    counted = log.header.explorable & (now.observed == UNKNOWN)
     a, b = dequantize(before.p_wall)[counted], dequantize(now.p_wall)[counted]
     assert measured.steps["prediction_change"][7] == pytest.approx(np.abs(b - a).mean())
     assert measured.steps["prediction_flips"][7] == ((a >= 0.5) != (b >= 0.5)).mean()

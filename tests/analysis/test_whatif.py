@@ -13,12 +13,13 @@ from mapreplay.analysis.reporting.figures import DARK, render
 from mapreplay.analysis.whatif.figure import HeatMap
 from mapreplay.analysis.whatif.grid import release, what_if, what_if_frame
 from mapreplay.config import EpisodeConfig
-from mapreplay.episode import look_around, prepare_episode, run_episode
+from mapreplay.episode import prepare_episode, run_episode
 from mapreplay.errors import LogError, UsageError
 from mapreplay.grid import Grid
 from mapreplay.mapping import Thresholds
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.writer import EpisodeWriter
+from mapreplay.stages import look_around
 from recordings import record, three_rooms, two_rooms
 
 SAMPLES = Path(__file__).parents[2] / "samples" / "episodes"
@@ -56,7 +57,7 @@ def log(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 def test_every_pair_is_what_fusing_scoring_and_planning_again_gives(log: EpisodeLog) -> None:
     result = what_if(log, DELTAS, DELTAS)
     config = EpisodeConfig(coverage=log.header.config.coverage)  # plans on fused, builds fused
-    truth, region = log.header.floor_plan.cells, log.explorable
+    truth, region = log.header.floor_plan.cells, log.header.explorable
     sealed_somewhere = 0
     for i, delta_free in enumerate(DELTAS):
         for j, delta_occupied in enumerate(DELTAS):

@@ -69,7 +69,7 @@ def test_poses_and_observed_maps_are_enough(tmp_path: Path, cli: Run) -> None:
     path = record(tmp_path, episode, growing_maps())
     log = EpisodeLog(path)
     assert not log.header.floor_plan.has_truth
-    assert not log.explorable.any()
+    assert not log.header.explorable.any()
     assert [step.agent.col for step in log] == [1, 2, 3, 4]
     assert np.isnan(log[2].metrics.f1)
     assert log[3].metrics.path_length == pytest.approx(3 * 0.05)

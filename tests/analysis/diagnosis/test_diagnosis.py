@@ -186,7 +186,7 @@ def oscillations(
     made = episode(always(LEFT_ROOM), plan_on="observed", build="observed")
     first = next(iter(run_episode(made)))
     assert first.decision is not None
-    detector = HarmDetector(made.header, made.explorable)
+    detector = HarmDetector(made.header)
     for index, target in enumerate(targets):
         left = {A, B, ELSEWHERE} - {c for k, c in (gone or {}).items() if k <= index}
         observed = first.observed.copy()
