@@ -1,4 +1,4 @@
-"""What the predictor `auto` chooses, step by step, and what that is worth: tables and a figure.
+"""What the predictor `auto` chooses, step by step, and the time that saves: tables and a figure.
 
     python docs/figures/auto.py measure --floorplans procedural:50000-50039 d1.jsonl
     python docs/figures/auto.py measure --floorplans HOUSES.tar.gz --ids VALIDATION.txt d2.jsonl
@@ -162,7 +162,7 @@ def percent(estimate: Estimate) -> str:
 
 
 def worth_table(name: str, runs: Sequence[Run]) -> Iterator[str]:
-    """What each predictor saves, how right its map is at the end, and what auto is beside it."""
+    """What each predictor saves, how correct its map is at the end, and auto compared with it."""
     yield f"| {name} | plans | time saved, % | against none, % | correct at the end | auto's time |"
     yield "|---|---|---|---|---|---|"
     for predictor in sorted({run.predictor for run in runs}):

@@ -1,4 +1,4 @@
-"""The table "How tight" of docs/limits.md: bound and tour beside the exact optimum.
+"""The table "How tight the bound is" of docs/limits.md: bound and tour next to the exact optimum.
 
 On small made-up houses: rooms in a row or a square, with doors at random places.
 
@@ -31,7 +31,7 @@ STATES = 20_000
 
 
 def house(seed: int) -> FloorPlan:
-    """A few rooms of 2 to 4 cells a side, each with a door to the one below and beside it."""
+    """A few rooms of 2 to 4 cells per side, each with a door to the one below and next to it."""
     random = np.random.default_rng(seed)
     rows, cols = ROOMS[seed % len(ROOMS)]
     heights, widths = random.integers(2, 5, rows), random.integers(2, 5, cols)

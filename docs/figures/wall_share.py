@@ -1,4 +1,4 @@
-"""The wall share of procedural plans (D1) beside that of HouseExpo houses (D2).
+"""The wall share of procedural plans (D1) next to that of HouseExpo houses (D2).
 
     python docs/figures/wall_share.py HOUSEEXPO_ARCHIVE [-o wall_share.png]
 
