@@ -194,10 +194,10 @@ def prepare_branch(
         raise UsageError(
             f"{log.path}: recorded by {log.header.simulator}, which cannot be run on here"
         )
-    count = len(log)
-    index = at + count if at < 0 else at
-    if not 0 <= index < count:
-        raise UsageError(f"--at {at}: {log.path} has steps 0 to {count - 1}")
+    index = at + log.last + 1 if at < 0 else at
+    if not 0 <= index <= log.last:
+        raise UsageError(f"--at {at}: {log.path} has steps 0 to {log.last}")
+    log.check_whole_until(index, "a branch from there")
     before = log.header.at(index)
     values = config_values(changes, before)
     config = EpisodeConfig.of(before.config.model_dump() | values, "branch")

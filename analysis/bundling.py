@@ -12,7 +12,7 @@ import io
 import json
 import zipfile
 from dataclasses import dataclass
-from itertools import islice
+from itertools import takewhile
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
@@ -58,13 +58,14 @@ def make_bundle(log: EpisodeLog, until: int | None = None) -> Bundle:
         UsageError: there is no step `until`.
         LogError: the log cannot be read, or has no step.
     """
-    count = len(log)
-    if count == 0:
+    if len(log) == 0:
         raise LogError(f"{log.path}: has no step to be packed")
-    last = count - 1 if until is None else until
-    if not 0 <= last < count:
-        raise UsageError(f"--until {until}: {log.path} has steps 0 to {count - 1}")
-    whole = last == count - 1 and log.path.suffix == ".mcap"
+    last = log.last if until is None else until
+    if not 0 <= last <= log.last:
+        raise UsageError(f"--until {until}: {log.path} has steps 0 to {log.last}")
+    if last < log.indices[0]:
+        raise UsageError(f"--until {until}: {log.path} has no step before {log.indices[0]}")
+    whole = last == log.last and log.state.whole
     with TemporaryDirectory() as folder:
         path = Path(folder) / LOG_NAME
         if whole:
@@ -81,13 +82,14 @@ def make_bundle(log: EpisodeLog, until: int | None = None) -> Bundle:
             "diagnosis.png": _picture(packed, diagnosis),
             "diagnosis.txt": (paragraph(diagnosis, LOG_NAME) + "\n").encode(),
         }
-    return Bundle(_zip(files), last + 1, last == count - 1)
+    return Bundle(_zip(files), len(packed), last == log.last)
 
 
 def _write_part(log: EpisodeLog, last: int, path: Path) -> None:
     writer = EpisodeWriter(path, log.header, profile=True)
     with writer:
-        for step in islice(log.steps(), last + 1):
+        for step in takewhile(lambda step: step.index <= last, log.steps()):
+            writer.skip_to(step.index)
             writer.write(step)
         writer.close_recovered()
 
@@ -108,7 +110,9 @@ def _picture(log: EpisodeLog, diagnosis: Diagnosis) -> bytes:
 
     sealing = diagnosis.sealings[0] if diagnosis.sealings else None
     step = log[sealing.first_step if sealing else -1]
-    cells = log.table().select("row", "col").to_numpy().astype(np.int32)[: step.index + 1]
+    table = log.table()
+    walked = table.filter(table["step"] <= step.index).select("row", "col")
+    cells = walked.to_numpy().astype(np.int32)
     marks = sealing_marks(sealing) if sealing else []
     picture = MapPainter.of(log.header).draw(
         MapView.FUSED, step, _SIDE, _SIDE, track=cells, marks=marks

@@ -28,6 +28,7 @@ from mapreplay.recorders.log import step_table as table
 from mapreplay.recorders.log.header import EPISODE_RECORD, NO_STEPS, OUTCOME_RECORD
 from mapreplay.recorders.log.messages import Messages, Topic, stamp_ns_of
 from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.state import span_words
 from mapreplay.sensor import Hits, accumulate, sense
 from mapreplay.stages import (
     Knowledge,
@@ -80,15 +81,27 @@ def verify(log: EpisodeLog, shown: int = SHOWN) -> Verification:
     if header.simulator != OURS:
         return _verify_foreign(log, shown)
     truth = header.floor_plan.cells
-    findings = _Findings(header, shown)
+    findings = _Findings(log, shown)
     findings.add(_check_header(header))
+    if log.state.missing:
+        findings.notes.append(
+            f"{span_words(log.state.missing)} missing: scans, moves, frontiers and decisions "
+            "after that not checked"
+        )
     planners = _Planners(findings)
     ending = _Ending(log)
     past = Past.at_start(header)
     expected: Step | None = None
     move: Cell | None = None
+    unbroken = True
     for logged, messages in log.steps_with_messages():
         header = log.header.at(logged.index)
+        unbroken = unbroken and logged.index == findings.steps
+        if not unbroken:  # what the step took over from those before is not known
+            findings.add(_check_alone(log, logged, messages, None))
+            findings.add(ending.compare(logged))
+            findings.steps += 1
+            continue
         if expected is not None:
             agent = move or logged.agent
             if not _is_free(truth, agent):
@@ -125,25 +138,38 @@ def verify(log: EpisodeLog, shown: int = SHOWN) -> Verification:
 def _verify_foreign(log: EpisodeLog, shown: int) -> Verification:
     """What can be checked of another simulator's steps: fusion, metrics, stamps and the end."""
     header = log.header
-    findings = _Findings(header, shown)
+    findings = _Findings(log, shown)
     findings.notes.append(
         f"recorded by {header.simulator}: scans, moves, frontiers and decisions not checked"
     )
     ending = _Ending(log)
-    travelled, agent = Travelled(), header.start
+    travelled, agent, unbroken = Travelled(), header.start, True
     for logged, messages in log.steps_with_messages():
         travelled = travelled.to(agent, logged.agent)
         agent = logged.agent
+        unbroken = unbroken and logged.index == findings.steps
         findings.steps += 1
-        findings.add(_check_stamps(logged, messages))
-        findings.add(_check_prediction(header, logged))
-        fused = mapping.fuse(logged.observed, logged.p_wall, header.thresholds)
-        path_length = travelled.metres(header.floor_plan.resolution)
-        metrics = measure(header, logged.observed, logged.p_wall, logged.fused, path_length)
-        findings.add(compare(logged, replace(logged, fused=fused, metrics=metrics)))
+        path_length = travelled.metres(header.floor_plan.resolution) if unbroken else None
+        findings.add(_check_alone(log, logged, messages, path_length))
         findings.add(ending.compare(logged))
     findings.add(ending.close())
     return findings.result()
+
+
+def _check_alone(
+    log: EpisodeLog, logged: Step, messages: Messages, path_length: float | None
+) -> Iterator[Difference]:
+    """What can be checked of a step without those before it: stamps, fusion and metrics.
+
+    Without a `path_length` that of the step is taken over.
+    """
+    header = log.header.at(logged.index)
+    yield from _check_stamps(logged, messages)
+    yield from _check_prediction(header, logged)
+    metres = logged.metrics.path_length if path_length is None else path_length
+    fused = mapping.fuse(logged.observed, logged.p_wall, header.thresholds)
+    metrics = measure(header, logged.observed, logged.p_wall, logged.fused, metres)
+    yield from compare(logged, replace(logged, fused=fused, metrics=metrics))
 
 
 def verify_rerun(log: EpisodeLog, device: str = "cpu", shown: int = SHOWN) -> Verification:
@@ -159,7 +185,7 @@ def verify_rerun(log: EpisodeLog, device: str = "cpu", shown: int = SHOWN) -> Ve
     """
     header = log.header
     _refuse_foreign(log)
-    findings = _Findings(header, shown)
+    findings = _Findings(log, shown)
     predictors = []
     for part in lineage(header):
         predictors.append(predictor_of(part, device))
@@ -168,7 +194,7 @@ def verify_rerun(log: EpisodeLog, device: str = "cpu", shown: int = SHOWN) -> Ve
     findings.add(_check_header(header))
     again, ending = run_again(header, predictors), _Ending(log)
     for logged, messages in log.steps_with_messages():
-        expected = next(again, None)
+        expected = next((step for step in again if step.index == logged.index), None)
         if expected is None:
             steps = f"{findings.steps} steps"
             findings.add([Difference(logged.index, Topic.METRICS, "step", None, "a step", steps)])
@@ -196,8 +222,10 @@ def verify_step(
     logged = log[index]
     header = log.header.at(logged.index)
     truth = header.floor_plan.cells
+    if logged.index > 0:
+        log.check_step(logged.index - 1)
     before = log[logged.index - 1].decision if logged.index > 0 else None
-    findings = _Findings(header, shown)
+    findings = _Findings(log, shown)
     predictor, planner = predictor_of(header, device), load_planner(header.config.planner)
     if findings.add(_check_predictor(header.predictor, predictor.identity)):
         return findings.result()
@@ -231,10 +259,10 @@ def _refuse_foreign(log: EpisodeLog) -> None:
 class _Findings:
     """The first differences, and the count of all."""
 
-    def __init__(self, header: EpisodeHeader, shown: int) -> None:
+    def __init__(self, log: EpisodeLog, shown: int) -> None:
         self.steps = 0
-        self.notes: list[str] = []
-        self._header = header
+        self.notes: list[str] = list(log.repacked)
+        self._header = log.header
         self._shown = shown
         self._kept: list[Difference] = []
         self._count = 0
@@ -269,7 +297,7 @@ class _Ending:
         self._expected = NO_STEPS
         self._rows: Iterator[table.Row] = iter(())
         self._columns: list[str] = []
-        if log.summary is not None:
+        if log.summary is not None:  # where the file has none, what follows from its steps
             frame = log.table()
             self._rows, self._columns = frame.iter_rows(), frame.columns
 

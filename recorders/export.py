@@ -128,8 +128,9 @@ def export_images(
     if not 1 <= scale <= MAX_SIDE // side:
         raise LogError(f"scale {scale}: must be 1 to {MAX_SIDE // side} for maps of {side} cells")
     for k in steps:
-        if not 0 <= k < len(log):
-            raise LogError(f"{log.path}: no step {k}; it has steps 0 to {len(log) - 1}")
+        if not 0 <= k <= log.last:
+            raise LogError(f"{log.path}: no step {k}; it has steps 0 to {log.last}")
+        log.check_step(k)
     written = []
     try:
         folder.mkdir(parents=True, exist_ok=True)

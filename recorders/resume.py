@@ -50,7 +50,7 @@ def _is_finished(path: Path, header: EpisodeHeader, *, force: bool) -> bool:
     try:
         log = EpisodeLog(path)
         if not log.finished:
-            raise LogError(f"{path}: unfinished")
+            raise LogError(f"{path}: {log.state}")
         wanted, found = episode_pairs(header), episode_pairs(log.header)
         others = [
             key

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import count
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -63,12 +64,17 @@ class _Trace:
     seen_at: int | None
 
 
-def trace_blame(maps: Iterable[Maps], culprits: Sequence[tuple[int, Cells]]) -> list[list[Blame]]:
+def trace_blame(
+    maps: Iterable[Maps],
+    culprits: Sequence[tuple[int, Cells]],
+    numbers: Iterable[int] | None = None,
+) -> list[list[Blame]]:
     """The blame chains of several sealings, in one pass over the maps of a log.
 
     Args:
         maps: Of all steps of the log, in order.
         culprits: For each sealing its first step and int32[n, 2] the cells to trace.
+        numbers: Of the steps; 0, 1, 2, ... by default.
 
     Returns:
         For each sealing one chain a cell, in the order of the cells.
@@ -76,7 +82,7 @@ def trace_blame(maps: Iterable[Maps], culprits: Sequence[tuple[int, Cells]]) -> 
     traces = [[_Trace([], [], None) for _ in cells] for _, cells in culprits]
     starts = [[-1] * len(cells) for _, cells in culprits]
     around: dict[tuple[int, int], tuple[int, int, int, float | None]] = {}
-    for index, (observed, p_wall, fused) in enumerate(maps):
+    for index, (observed, p_wall, fused) in zip(numbers or count(), maps, strict=False):
         for s, (step, cells) in enumerate(culprits):
             rows, cols = cells[:, 0], cells[:, 1]
             seen = observed[rows, cols] != UNKNOWN

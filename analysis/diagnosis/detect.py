@@ -123,7 +123,8 @@ class SealingDetector:
         header = self._header.at(step.index)
         if self._before is not None:
             then = self._header.at(self._before.index)
-            self.past = self.past.after(self._before, step.agent, then)
+            past = self.past.after(self._before, step.agent, then)
+            self.past = replace(past, index=step.index)  # steps may be missing in a recovered log
         sealed = is_sealed(header, step, self._scratch)
         if self._open is not None:
             self._open = self._go_on(self._open, step)
@@ -188,6 +189,8 @@ class NearMissDetector:
             self._sealed.add(step.index)
         if step.p_wall is None:
             return
+        if self._recent and self._recent[-1][0] + NEXT_STEPS < step.index:
+            self._recent.clear()  # a recovered log that misses steps
         thresholds = self._header.at(step.index).thresholds
         closing = self._steps[NearMissKind.CLOSING]
         for index, agent, observed in self._recent:

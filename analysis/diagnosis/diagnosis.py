@@ -158,7 +158,7 @@ def _limits(log: EpisodeLog) -> list[str]:
             "was one, nor culprits, doorway, detours and wrong coverage"
         )
     if not log.finished:
-        notes.append("unfinished: diagnosed as far as it goes")
+        notes.append(f"{log.state}: diagnosed as far as it goes")
     return notes
 
 
@@ -177,7 +177,7 @@ def _explain(
     if traced:
         maps = cast("Iterable[Maps]", log.maps(MapName.OBSERVED, MapName.P_WALL, MapName.FUSED))
         wanted = [(spans[i].first.index, c.cells) for i in traced if (c := found[i]) is not None]
-        for i, chain in zip(traced, trace_blame(maps, wanted), strict=True):
+        for i, chain in zip(traced, trace_blame(maps, wanted, log.indices), strict=True):
             chains[i] = chain
     planner = _planner(log, notes)
     return tuple(

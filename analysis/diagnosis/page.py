@@ -91,12 +91,13 @@ def _counts(found: Sequence[Diagnosis]) -> list[Block]:
 
 def _pictures(path: Path, diagnosis: Diagnosis) -> list[Block]:
     log = EpisodeLog(path)
-    agents = log.table().select("row", "col").to_numpy().astype(np.int32)
+    table = log.table()
     painter = MapPainter.of(diagnosis.header)
     blocks: list[Block] = []
     for sealing in diagnosis.sealings[:SHOWN]:
         step = log[sealing.first_step]
-        track = agents[: step.index + 1]
+        walked = table.filter(table["step"] <= step.index).select("row", "col")
+        track = walked.to_numpy().astype(np.int32)
         maps = [
             Picture(
                 map_png(painter, view, step, sealing, track),

@@ -7,13 +7,13 @@ and its ranking from the maps, the decision from the ranking, the move from the 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from itertools import zip_longest
 from typing import Final
 
 from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.pictures.layers import side_by_side
 from mapreplay.step import Cells, Decision, EpisodeHeader, Step, differences
 
 
@@ -97,25 +97,38 @@ def find_partings(a: EpisodeLog, b: EpisodeLog) -> Partings:
     """
     first: dict[Layer, Moment] = {}
     same_planner = a.header.config.planner == b.header.config.planner
-    shared = 0
+    steps = 0
     for moment in _moments(a, b):
         for layer in _differing(moment, same_planner=same_planner):
             first.setdefault(layer, moment)
         if moment.a is None or moment.b is None:
             break
-        shared += 1
+        steps = moment.index + 1
         if Layer.MOVE in first or Layer.START in first:
             break
     order = sorted(first.items(), key=lambda item: (item[1].index, list(Layer).index(item[0])))
-    steps = shared if Layer.MOVE not in first else min(len(a), len(b))
-    return Partings(dict(order), steps, header_differences(a.header, b.header))
+    if Layer.MOVE in first:
+        steps = min(a.last, b.last) + 1
+    said = [*header_differences(a.header, b.header)]
+    if a.state.missing != b.state.missing:
+        said.append(Said("missing steps", *(_spans(log.state.missing) for log in (a, b))))
+    return Partings(dict(order), steps, tuple(said))
+
+
+def _spans(spans: Sequence[range]) -> str:
+    return ", ".join(f"{span.start} to {span.stop - 1}" for span in spans) or "none"
 
 
 def _moments(a: EpisodeLog, b: EpisodeLog) -> Iterator[Moment]:
-    before_a = before_b = None
-    for one, other in zip_longest(a.steps(), b.steps()):
-        yield Moment(one, other, before_a, before_b)
-        before_a, before_b = (step.decision if step else None for step in (one, other))
+    before: tuple[Decision | None, Decision | None] = (None, None)
+    following = 0
+    for one, other in side_by_side(a.steps(), b.steps()):
+        moment = Moment(one, other, *before)
+        if moment.index != following:  # what they wanted just before is not known
+            moment = Moment(one, other, None, None)
+        yield moment
+        following = moment.index + 1
+        before = (one.decision if one else None, other.decision if other else None)
 
 
 def _differing(moment: Moment, *, same_planner: bool) -> Iterator[Layer]:

@@ -20,6 +20,7 @@ from mapreplay.analysis.pool import map_unordered
 from mapreplay.config import MapKind
 from mapreplay.errors import MapreplayError
 from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.state import LogState, by_step
 from mapreplay.step import EpisodeHeader, Mode
 
 
@@ -55,6 +56,8 @@ class LoggedEpisode:
     """Coverage of the observed map."""
     fail_safe: npt.NDArray[np.bool_]
     """bool[steps + 1]: planned in fail-safe mode."""
+    state: LogState
+    """Whether the log is whole. Of one that misses steps, the curves are NaN there."""
 
     @property
     def place(self) -> Place:
@@ -79,18 +82,22 @@ def read_episode(path: Path) -> LoggedEpisode:
     table = log.table()
 
     def curve(name: str) -> Curve:
-        return np.asarray(table[name].to_numpy(), np.float64)
+        return by_step(table["step"].to_numpy(), table[name].to_numpy())
 
     return LoggedEpisode(
-        path=path,
+        path=log.path,
         header=log.header,
-        row=summarize(log, str(path)),
+        row=summarize(log, str(log.path)),
         coverage=curve(f"coverage_{built}"),
         correct=curve(f"correct_coverage_{built}"),
         f1=curve("f1"),
         metres=curve("path_length"),
         observed=curve("coverage_observed"),
-        fail_safe=(table["mode"] == Mode.FAIL_SAFE.value).to_numpy(),
+        fail_safe=by_step(
+            table["step"].to_numpy(), (table["mode"] == Mode.FAIL_SAFE.value).to_numpy()
+        )
+        == 1,
+        state=log.state,
     )
 
 

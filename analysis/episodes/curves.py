@@ -37,10 +37,19 @@ def area(curve: Curve, budget: int) -> float:
     """The mean of the curve over steps 0 to `budget`, its last value held, in [0, 1].
 
     This is the area under it divided by the budget: 1 would be knowing all from the start. NaN
-    for an empty curve.
+    for an empty curve. Where the curve is NaN, the value before is held (0 before the first).
     """
     if curve.size == 0:
         return math.nan
+    curve = _held(curve)
     seen = curve[: budget + 1]
     held = budget + 1 - seen.size
     return float((seen.sum() + held * seen[-1]) / (budget + 1))
+
+
+def _held(curve: Curve) -> Curve:
+    known = ~np.isnan(curve)
+    if known.all() or not known.any():  # all of it is undefined without a true map
+        return curve
+    last = np.maximum.accumulate(np.where(known, np.arange(curve.size), -1))
+    return np.where(last < 0, 0.0, curve[np.maximum(last, 0)])

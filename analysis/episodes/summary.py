@@ -15,6 +15,7 @@ from mapreplay.analysis.episodes.curves import first_reached
 from mapreplay.config import MapKind
 from mapreplay.errors import UsageError
 from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.state import by_step
 from mapreplay.step import Mode
 
 UNFINISHED: Final = "unfinished"
@@ -73,8 +74,10 @@ def summarize(log: EpisodeLog, file: str) -> EpisodeRow:
     last = dict.fromkeys(table.columns) if table.is_empty() else table.row(-1, named=True)
     suffix = "observed" if config.build is MapKind.OBSERVED else "fused"
     # Series and their NumPy arrays: a data-frame query takes longer than all the rest.
-    mapped = first_reached(table[f"coverage_{suffix}"].to_numpy(), config.coverage)
-    right = table[f"correct_coverage_{suffix}"].to_numpy()
+    steps = table["step"].to_numpy()
+    known = by_step(steps, table[f"coverage_{suffix}"].to_numpy())
+    mapped = first_reached(known, config.coverage)
+    right = by_step(steps, table[f"correct_coverage_{suffix}"].to_numpy())
     correct = first_reached(right, config.correct_coverage)
     outcome, branch = log.outcome, log.header.branch
     return EpisodeRow(

@@ -17,6 +17,7 @@ from mapreplay.analysis.metrics.store import Store, Stored
 from mapreplay.analysis.pool import map_unordered
 from mapreplay.errors import LogError, MapreplayError
 from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.state import LogState
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,8 @@ class MeasuredLog:
     stored: Stored
     known: bool
     """The tables were there already."""
+    state: LogState
+    """Whether the log is whole."""
 
     def steps(self) -> pl.LazyFrame:
         """One row a step, with the log's ``file`` in front; read when it is collected."""
@@ -78,14 +81,15 @@ def measure_logs(
 
 def _measure(path: Path, store: Store, scope: Scope, metrics: tuple[str, ...]) -> Result:
     try:
+        log = EpisodeLog(path)
+        path = log.path  # it may have been finished, and renamed, meanwhile
         key = store.key(path, scope)
         found = None if metrics else store.find(key)
         if found is not None:
-            return MeasuredLog(path, found, known=True)
-        log = EpisodeLog(path)
+            return MeasuredLog(path, found, known=True, state=log.state)
         measured = measure_log(log, scope, {name: load_metric(name) for name in metrics})
         stored = store.keep(key, measured.steps, episode_metrics(log, measured, metrics))
-        return MeasuredLog(path, stored, known=False)
+        return MeasuredLog(path, stored, known=False, state=log.state)
     except OSError as error:
         reason = error.strerror or str(error)
         return Unmeasured(path, MapreplayError(f"{store.folder}: cannot be written ({reason})"))

@@ -95,7 +95,8 @@ def measure_log(
     """All metrics of every step of a log.
 
     Args:
-        log: an unfinished one is measured as far as it goes.
+        log: an unfinished one is measured as far as it goes. Where steps are missing, the way
+            that was travelled in them is taken from the recording.
         scope: which cells count; the explorable ones, unknown as free, by default.
         metrics: further metrics by name; with any, reading takes about three times as long.
 
@@ -110,11 +111,16 @@ def measure_log(
     predictions = _Predictions(plan.cells, cells)
     rows, further = [], []
     looks = _looks(log, whole_steps=bool(metrics))
-    places = recorded.select("row", "col").iter_rows()
-    for k, (place, look) in enumerate(zip(places, looks, strict=True)):
-        header, before, agent = log.header.at(k), agent, Cell(*place)
+    places = recorded.select("step", "row", "col", "path_length").iter_rows()
+    following, unbroken = 0, True
+    for (k, row, col, said), look in zip(places, looks, strict=True):
+        header, before, agent = log.header.at(k), agent, Cell(row, col)
         travelled = travelled.to(before, agent)
-        length = travelled.metres(plan.resolution)
+        if k != following:
+            unbroken = False
+            predictions.skip()
+        following = k + 1
+        length = travelled.metres(plan.resolution) if unbroken else said
         observed, p_wall, fused = look.observed, look.p_wall, look.fused
         scores = measure(header, observed, p_wall, fused, length, scope.unknown_as, cells)
         rows.append(_values(scores))
@@ -124,7 +130,7 @@ def measure_log(
             further.append(values)
     measured = _columns(RECORDED, rows)
     steps = pl.DataFrame(
-        {"step": np.arange(len(rows), dtype=np.int32)}
+        {"step": recorded["step"].to_numpy().astype(np.int32)}
         | measured
         | predictions.columns()
         | _columns(list(metrics), further)
@@ -167,11 +173,12 @@ def _disagreements(
 ) -> tuple[Disagreement, ...]:
     """Where the two differ at all: both come from the same arithmetic on the same maps."""
     found = []
+    steps = recorded["step"].to_numpy()
     for name, values in measured.items():
         said = recorded[name].to_numpy()
         wrong = ~((said == values) | (np.isnan(said) & np.isnan(values)))
         found += [
-            Disagreement(k, name, float(said[k]), float(values[k]))
+            Disagreement(int(steps[k]), name, float(said[k]), float(values[k]))
             for k in np.flatnonzero(wrong).tolist()
         ]
     return tuple(sorted(found, key=lambda d: d.step))
@@ -201,6 +208,10 @@ class _Predictions:
         self._waiting.append(counts.cells)
         if len(self._waiting) * counts.cells.size >= _CHUNK:
             self._score()
+
+    def skip(self) -> None:
+        """Steps are missing before the next one: nothing can be said of what changed."""
+        self._before = None
 
     def columns(self) -> dict[str, Floats]:
         """float64[steps] each: all scores, of all unobserved cells and by distance; changes."""

@@ -12,6 +12,7 @@ from mapreplay.analysis.episodes.summary import episode_frame, summarize
 from mapreplay.analysis.metrics.measure import CHANGES, RECORDED, Measurements, prediction_scores
 from mapreplay.config import MapKind
 from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.state import by_step
 
 _IN_ROW: Final = {"path_length", "f1"}
 """Of `RECORDED`, what an `EpisodeRow` has already."""
@@ -56,8 +57,9 @@ def episode_metrics(
 def _milestones(
     steps: pl.DataFrame, prefix: str, column: str, budget: int
 ) -> dict[str, float | int | None]:
-    curve = steps[column].to_numpy()
-    length = steps["path_length"].to_list()
+    numbers_of_steps = steps["step"].to_numpy()
+    curve = by_step(numbers_of_steps, steps[column].to_numpy())
+    length = by_step(numbers_of_steps, steps["path_length"].to_numpy()).tolist()
     numbers: dict[str, float | int | None] = {f"{prefix}area": area(curve, budget)}
     for level in MILESTONES:
         step, name = first_reached(curve, level), f"{prefix}{round(100 * level)}"

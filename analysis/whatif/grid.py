@@ -43,6 +43,9 @@ class WhatIf:
     sealed: npt.NDArray[np.bool_]
     """bool[steps, m, n]: the agent would have had no frontier within reach, planning on the
     fused map and building it, and the target was not reached by then."""
+    steps: npt.NDArray[np.int64]
+    """int64[k]: the steps that the log has. At others, which a recovered log misses, the scores
+    are NaN."""
 
     def course(self, i: int, j: int) -> Course:
         """The pair delta_free[i], delta_occupied[j]."""
@@ -50,8 +53,8 @@ class WhatIf:
         first = int(sealed[0]) if sealed.size else None
         released = None
         if first is not None:
-            free = np.flatnonzero(~self.sealed[first:, i, j])
-            released = first + int(free[0]) if free.size else None
+            free = self.steps[(self.steps > first) & ~self.sealed[self.steps, i, j]]
+            released = int(free[0]) if free.size else None
         return Course(
             delta_free=self.delta_free[i],
             delta_occupied=self.delta_occupied[j],
@@ -88,16 +91,14 @@ def what_if(
     """
     grid = _Grid(tuple(sorted(delta_free)), tuple(sorted(delta_occupied)))
     header, truth = log.header, log.header.floor_plan.cells
-    agents = log.table().select("row", "col").rows()
-    shape = (len(agents), len(grid.delta_free), len(grid.delta_occupied))
-    f1, coverage, correct = (np.empty(shape, np.float64) for _ in range(3))
-    sealed = np.empty(shape, np.bool_)
+    agents = log.table().select("step", "row", "col").rows()
+    shape = (log.last + 1, len(grid.delta_free), len(grid.delta_occupied))
+    f1, coverage, correct = (np.full(shape, np.nan) for _ in range(3))
+    sealed = np.zeros(shape, np.bool_)
     reached = np.zeros(shape[1:], np.bool_)
     # A step without a prediction is one of which no threshold is sure: delta is above 0.
     nothing, some = np.full(truth.shape, 0.5, np.float32), False
-    for k, (maps, (row, col)) in enumerate(
-        zip(log.maps("observed", "p_wall"), agents, strict=True)
-    ):
+    for maps, (k, row, col) in zip(log.maps("observed", "p_wall"), agents, strict=True):
         observed, predicted = cast("tuple[Grid, Quantized | None]", maps)
         some |= predicted is not None
         p_wall = nothing if predicted is None else predicted
@@ -110,7 +111,14 @@ def what_if(
     if not some:
         raise LogError(f"{log.path}: no step has a prediction to threshold")
     return WhatIf(
-        grid.delta_free, grid.delta_occupied, header.config.coverage, f1, coverage, correct, sealed
+        grid.delta_free,
+        grid.delta_occupied,
+        header.config.coverage,
+        f1,
+        coverage,
+        correct,
+        sealed,
+        np.array(log.indices, np.int64),
     )
 
 
@@ -177,8 +185,8 @@ def what_if_frame(result: WhatIf, step: int = -1) -> pl.DataFrame:
                     "f1": float(result.f1[step, i, j]),
                     "coverage": float(result.coverage[step, i, j]),
                     "correct_coverage": float(result.correct[step, i, j]),
-                    "mean_f1": float(result.f1[:, i, j].mean()),
-                    "mean_coverage": float(result.coverage[:, i, j].mean()),
+                    "mean_f1": float(result.f1[result.steps, i, j].mean()),
+                    "mean_coverage": float(result.coverage[result.steps, i, j].mean()),
                     "reached": course.reached,
                     "sealed": course.sealed,
                     "released": course.released,

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from mapreplay.cli.logs import LogArgument, open_log
+from mapreplay.cli.logs import LogArgument, end_with, open_log
 from mapreplay.cli.output import ForceOption, Format, FormatOption, emit, note
 
 
@@ -61,3 +61,4 @@ def branch(
     text = brief(frame).insert_column(0, pl.Series("log", ["parent", "branch"]))
     emit(frame, "mapreplay.episodes/1", form, text=text)
     note(f"branched at step {branched.past.index} with {', '.join(change)} (closed loop): {path}")
+    end_with([opened])

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from mapreplay.cli.logs import LogArgument, open_log
+from mapreplay.cli.logs import LogArgument, end_with, open_log
 from mapreplay.cli.output import ForceOption, note, write_file
 from mapreplay.errors import UsageError
 
@@ -43,3 +43,4 @@ def bundle(
     note(f"written: {path}, {len(made.data) / 1000:.0f} kB, {made.steps} steps{part}")
     if len(made.data) > LARGE:
         note("that is more than 2 MB: pack the steps up to the sealing with --until STEP")
+    end_with([opened])

@@ -114,7 +114,6 @@ def _diagnose(paths: list[Path], where: list[str] | None) -> tuple[dict[str, Dia
             try:
                 log = EpisodeLog(Path(row.file))
                 diagnoses[row.file] = diagnose_log(log)
-                lost += not log.finished
             except MapreplayError as error:
                 problems.append(str(error))
             bar.advance(task)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from mapreplay.cli.logs import LogArgument, open_log
+from mapreplay.cli.logs import LogArgument, end_with, open_log
 from mapreplay.cli.output import ForceOption, note
 from mapreplay.errors import UsageError
 
@@ -33,7 +33,7 @@ def export(
         export_arrays(opened, npz, force=force)
         note(f"written: {npz}")
     if png is not None:
-        count = len(opened)
+        count = opened.last + 1
         steps = []
         for wanted in step or [-1]:
             if not -count <= wanted < count:
@@ -41,3 +41,4 @@ def export(
             steps.append(wanted % count)
         for path in export_images(opened, png, steps, scale, force=force):
             note(f"written: {path}")
+    end_with([opened])

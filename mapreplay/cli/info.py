@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import typer
-
-from mapreplay.cli.logs import LogArgument, open_log
-from mapreplay.cli.output import LOST, ForceOption, Format, FormatOption, OutputOption, emit
+from mapreplay.cli.logs import LogArgument, end_with, open_log
+from mapreplay.cli.output import ForceOption, Format, FormatOption, OutputOption, emit
 
 
 def info(
@@ -26,6 +24,7 @@ def info(
     header, plan = opened.header, opened.header.floor_plan
     facts: list[tuple[str, str, object]] = [
         ("file", "finished", opened.finished),
+        ("file", "state", str(opened.state)),
         ("file", "bytes", opened.path.stat().st_size),
         ("floor plan", "id", plan.id),
         ("floor plan", "cells", f"{plan.shape[0]} x {plan.shape[1]}"),
@@ -76,5 +75,4 @@ def info(
     # Hashes, the only long values, would not fit into 80 columns.
     short = pl.col("value").str.replace(r"^([0-9a-f]{12})[0-9a-f]{52}$", "$1")
     emit(frame, "mapreplay.info/1", form, output, text=frame.with_columns(short), force=force)
-    if not opened.finished:
-        raise typer.Exit(LOST)
+    end_with([opened])

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from mapreplay.cli.output import note
+from mapreplay.cli.output import LOST, note
 from mapreplay.errors import UsageError
 
 if TYPE_CHECKING:
     from mapreplay.analysis.episodes.corpus import LoggedEpisode
     from mapreplay.analysis.episodes.summary import EpisodeRow
     from mapreplay.recorders.log.reader import EpisodeLog
+    from mapreplay.recorders.state import LogState
 
 
 PathsArgument = Annotated[
@@ -26,7 +28,7 @@ WhereOption = Annotated[
 
 
 def choose(paths: list[Path], where: list[str] | None) -> tuple[list[EpisodeRow], int]:
-    """The rows of `read_episodes`, and how many files could not be read.
+    """The rows of `read_episodes`, and how many files could not be read, or not whole.
 
     Raises:
         LogError: nothing is there, or nothing that can be read.
@@ -39,7 +41,7 @@ def read_episodes(
     paths: list[Path], where: list[str] | None, jobs: int = 1
 ) -> tuple[list[LoggedEpisode], int]:
     """The episodes found at `paths` that satisfy all conditions, in order, and how many files
-    could not be read; each of those is named on stderr.
+    could not be read, or are not whole; what is wrong is said on stderr.
 
     Raises:
         LogError: nothing is there, or nothing that can be read.
@@ -70,13 +72,47 @@ def read_episodes(
     branches = sum(e.row.branch != "" for e in chosen)
     if 0 < branches < len(chosen):
         note(f"{branches} of {len(chosen)} episodes are branches; without them: --where branch=")
-    return chosen, len(unreadable)
+    tell_same([episode.path for episode in chosen])
+    return chosen, len(unreadable) + tell_states({e.path: e.state for e in chosen})
+
+
+SHOWN: Final = 10
+"""Logs that are not whole, or are there twice, that are named."""
+
+
+def tell_states(states: Mapping[Path, LogState]) -> int:
+    """Say on stderr which logs are not whole, and why; how many."""
+    lines = [f"{path}: {state}" for path, state in states.items() if not state.whole]
+    _tell(lines, "logs that are not whole")
+    return len(lines)
+
+
+def tell_same(logs: Sequence[Path]) -> dict[Path, Path]:
+    """Say on stderr which logs are the same file as one before them; which they are."""
+    from mapreplay.recorders.log.find import find_same
+
+    same = find_same(logs)
+    _tell([f"{log}: the same file as {first}" for log, first in same.items()], "logs like that")
+    return same
+
+
+def _tell(lines: Sequence[str], what: str) -> None:
+    for line in lines[:SHOWN]:
+        note(line)
+    if len(lines) > SHOWN:
+        note(f"and {len(lines) - SHOWN} more {what}")
+
+
+def end_with(logs: Iterable[EpisodeLog]) -> None:
+    """End a verb on these logs: with code 3 if one of them is not whole."""
+    if not all(log.state.whole for log in logs):
+        raise typer.Exit(LOST)
 
 
 def open_log(path: Path) -> EpisodeLog:
     """The log at `path`, or the only one in that folder or of that pattern.
 
-    That it is unfinished is said on stderr.
+    That it is not whole is said on stderr; see `end_with`.
 
     Raises:
         LogError: there is none, or it cannot be read.
@@ -90,8 +126,7 @@ def open_log(path: Path) -> EpisodeLog:
     from mapreplay.recorders.log.reader import EpisodeLog
 
     log = EpisodeLog(logs[0])
-    if not log.finished:
-        note(f"{log.path}: unfinished; {len(log)} steps can be read")
+    tell_states({log.path: log.state})
     return log
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from mapreplay.cli.logs import PathsArgument, WhereOption, choose
+from mapreplay.cli.logs import PathsArgument, WhereOption, choose, tell_same, tell_states
 from mapreplay.cli.output import (
     LOST,
     ForceOption,
@@ -113,7 +113,10 @@ def metrics(
             if len(measured) == 1:
                 text = text.drop("file")
             emit_parts(steps, "mapreplay.metrics/2", form, output, text=text, force=force)
-    _tell(episodes, scope, sum(log.known for log in measured))
+    if not where:  # otherwise it was said when they were chosen
+        tell_same([log.log for log in measured])
+        lost += tell_states({log.log: log.state for log in measured})
+    _tell(episodes, scope, _known(measured))
     if unreadable or lost:
         raise typer.Exit(LOST)
 
@@ -163,6 +166,12 @@ def _measure(
     for failed in lost:
         note(f"unreadable: {failed.error}")
     return sorted(measured, key=lambda result: result.log), len(lost)
+
+
+def _known(measured: Sequence[MeasuredLog]) -> int:
+    """How many were measured by an earlier command; one of two that are the same file was not."""
+    here = {result.stored.steps for result in measured if not result.known}
+    return sum(result.known and result.stored.steps not in here for result in measured)
 
 
 def _brief(episodes: pl.DataFrame, further: list[str]) -> pl.DataFrame:

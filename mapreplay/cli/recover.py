@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
 from mapreplay.cli.logs import PathsArgument
 from mapreplay.cli.output import LOST, ForceOption, Format, FormatOption, OutputOption, emit, note
-from mapreplay.errors import LogError
+from mapreplay.errors import LogError, MapreplayError
+
+if TYPE_CHECKING:
+    from mapreplay.recorders.log.recover import Recovered
+
+SHOWN: Final = 5
+"""Lines on what is damaged in a log."""
 
 
 def recover(
@@ -21,35 +27,43 @@ def recover(
     output: OutputOption = None,
     force: ForceOption = False,
 ) -> None:
-    """Make finished files of unfinished, cut and damaged logs; exit 3 if steps are missing."""
+    """Make whole files of unfinished, cut and damaged logs; exit 3 if anything is missing.
+
+    Every step that can be read is kept under its number, also behind what is damaged. LOG stays.
+    """
     import polars as pl
 
     from mapreplay.recorders.log.find import find_logs
     from mapreplay.recorders.log.recover import recover as recover_log
 
-    rows, failures, lost = [], [], False
+    rows, failures, lost = [], list[MapreplayError](), False
+    intact = False
     for path in find_logs(paths):
         try:
             saved = recover_log(path, force=force)
-        except LogError as error:
-            failures.append(str(error))
+        except MapreplayError as error:
+            failures.append(error)
             continue
         if saved is None:
             note(f"{path}: intact; nothing to do")
+            intact = True
             continue
-        if saved.damage:
-            note(f"stopped at: {saved.damage}")
-        missing = "nothing" if saved.whole else f"all after step {saved.steps - 1}"
-        lost |= not saved.whole
-        rows.append((str(path), str(saved.path), saved.steps, missing))
-        if remove and saved.damage:
-            note(f"{path}: kept, because it is damaged")
+        for line in saved.damages[:SHOWN]:
+            note(f"{path}: damaged: {line}")
+        if len(saved.damages) > SHOWN:
+            note(f"{path}: and {len(saved.damages) - SHOWN} more")
+        if saved.tail is not None:
+            note(f"{path}: {saved.tail}")
+        lost |= not saved.whole or saved.tail is not None
+        rows.append((str(path), str(saved.path), saved.steps, _missing(saved)))
+        if remove and (saved.damages or saved.tail):
+            note(f"{path}: kept, because not all of it could be read")
         elif remove:
             _remove(path)
-    if failures and not rows:
-        raise LogError(failures[0])
-    for line in failures:
-        note(f"failed: {line}")
+    if failures and not rows and not intact:
+        raise failures[0]
+    for failure in failures:
+        note(f"failed: {failure}")
     if rows:
         schema = {
             "file": pl.String,
@@ -61,6 +75,18 @@ def recover(
         emit(frame, "mapreplay.recover/1", form, output, force=force)
     if failures or lost:
         raise typer.Exit(LOST)
+
+
+def _missing(saved: Recovered) -> str:
+    """What is not in the new file, in words."""
+    from mapreplay.recorders.state import span_words
+
+    said = []
+    if saved.missing:
+        said.append(span_words(saved.missing).removesuffix(" are").removesuffix(" is"))
+    if saved.outcome is None:
+        said.append(f"all after step {saved.last}")
+    return ", ".join(said) or "nothing"
 
 
 def _remove(path: Path) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mapreplay.cli.logs import PathsArgument, WhereOption
+from mapreplay.cli.logs import PathsArgument, WhereOption, tell_states
 from mapreplay.cli.output import LOST, ForceOption, Format, FormatOption, OutputOption, emit, note
 from mapreplay.errors import MapreplayError, PluginError, UsageError
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from mapreplay.analysis.verification import Verification
     from mapreplay.recorders.log.reader import EpisodeLog
+    from mapreplay.recorders.state import LogState
 
 DIFFERS = 1
 
@@ -48,7 +49,8 @@ def verify(
     check = _check(device, rerun_from, rerun=rerun)
     conditions = [Condition.parse(text) for text in where or []]
     results: dict[str, Verification] = {}
-    problems, unfinished = [], 0
+    problems: list[str] = []
+    states: dict[Path, LogState] = {}
     for path in find_logs(paths):
         try:
             log = EpisodeLog(path)
@@ -56,7 +58,7 @@ def verify(
                 row = summarize(log, str(path))
                 if not all(condition.holds(row) for condition in conditions):
                     continue
-            results[str(path)] = check(log)
+            results[str(log.path)] = check(log)
         except PluginError as error:  # what the log names is not here
             problems.append(f"{path}: {error}")
             continue
@@ -65,19 +67,18 @@ def verify(
         except MapreplayError as error:
             problems.append(str(error))
             continue
-        if not log.finished:
-            unfinished += 1
-            note(f"{path}: unfinished; verified as far as it goes")
+        states[log.path] = log.state
     if problems and not results:
         raise MapreplayError(problems[0])
     for problem in problems:
         note(f"not verified: {problem}")
+    lost = tell_states(states)
     frame = _frame(results)
     emit(frame, "mapreplay.verify/1", form, output, text=_brief(results), force=force)
     _tell(results)
     if any(not result.agrees for result in results.values()):
         raise typer.Exit(DIFFERS)
-    if problems or unfinished:
+    if problems or lost:
         raise typer.Exit(LOST)
 
 
@@ -89,8 +90,8 @@ def _check(
 
     def one_step(log: EpisodeLog) -> Verification:
         index = rerun_from or 0
-        if not -len(log) <= index < len(log):
-            raise UsageError(f"--rerun-from {index}: {log.path} has steps 0 to {len(log) - 1}")
+        if not -log.last - 1 <= index <= log.last:
+            raise UsageError(f"--rerun-from {index}: {log.path} has steps 0 to {log.last}")
         return verify.verify_step(log, index, device)
 
     if rerun_from is not None:

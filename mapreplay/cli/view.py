@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mapreplay.cli.logs import open_log
-from mapreplay.cli.output import ForceOption, note
-from mapreplay.errors import UsageError
+from mapreplay.cli.logs import end_with, open_log
+from mapreplay.cli.output import LOST, ForceOption, note
+from mapreplay.errors import LogError, UsageError
 
 if TYPE_CHECKING:
     from mapreplay.recorders.log.reader import EpisodeLog
@@ -73,7 +73,7 @@ def view(
         raise UsageError(f"view: choose one of {', '.join(asked)}")
     if step is not None and asked and asked != ["--png"]:
         raise UsageError(f"view: --step is for the window and --png, not for {asked[0]}")
-    opened = _open(logs)
+    opened, unreadable = _open(logs)
     chosen = _chosen(maps, len(opened))
     at = None if step is None else _step(step, [opened[number] for number in chosen])
     marks, sealed_at = _diagnosed(opened, chosen) if diagnose else ([], None)
@@ -81,6 +81,7 @@ def view(
     if png or gif or mp4:
         film = _film([opened[number] for number in chosen], size, theme, marks)
         _draw(film, at, png, gif, mp4, every, force=force)
+        _end(opened, unreadable)
         return
     from mapreplay.recorders.pictures.replay import replays_of
     from mapreplay.recorders.viewer.view import require_display_here
@@ -90,13 +91,33 @@ def view(
     by_log = dict(zip(chosen, marks, strict=False))
     all_marks = [by_log.get(number, []) for number in range(len(opened))]
     _show(replays_of(opened, all_marks, chosen), at, save, web=web, force=force)
+    _end(opened, unreadable)
 
 
-def _open(paths: list[Path]) -> list[EpisodeLog]:
-    """All logs that the paths stand for, in the order of the paths."""
+def _end(opened: list[EpisodeLog], unreadable: int) -> None:
+    end_with(opened)
+    if unreadable:
+        raise typer.Exit(LOST)
+
+
+def _open(paths: list[Path]) -> tuple[list[EpisodeLog], int]:
+    """All logs that the paths stand for, in the order of the paths, and how many of them cannot
+    be read; those are named on stderr.
+    """
     from mapreplay.recorders.log.find import find_each
 
-    return [open_log(log) for logs in find_each(paths) for log in logs]
+    opened: list[EpisodeLog] = []
+    problems: list[LogError] = []
+    for path in (log for logs in find_each(paths) for log in logs):
+        try:
+            opened.append(open_log(path))
+        except LogError as error:
+            problems.append(error)
+    if problems and not opened:
+        raise problems[0]
+    for problem in problems:
+        note(f"unreadable: {problem}")
+    return opened, len(problems)
 
 
 def _chosen(maps: str | None, count: int) -> list[int]:
@@ -114,7 +135,7 @@ def _chosen(maps: str | None, count: int) -> list[int]:
 
 
 def _step(step: int, logs: list[EpisodeLog]) -> int:
-    count = max(len(log) for log in logs)
+    count = max(log.last for log in logs) + 1
     if not -count <= step < count:
         raise UsageError(f"--step {step}: {logs[0].path} has steps 0 to {count - 1}")
     return step % count

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from mapreplay.cli.logs import LogArgument, open_log
+from mapreplay.cli.logs import LogArgument, end_with, open_log
 from mapreplay.cli.output import (
     Command,
     ForceOption,
@@ -64,9 +64,10 @@ def whatif(
     if plot is not None and plot.suffix not in {".png", ".svg"}:
         raise UsageError(f"--plot {plot}: should end in .png or .svg")
     opened = open_log(log)
-    count = len(opened)
+    count = opened.last + 1
     if not -count <= step < count:
         raise UsageError(f"--step {step}: {opened.path} has steps 0 to {count - 1}")
+    opened.check_step(step % count)
     result = what_if(opened, free, occupied)
     at = step % count
     frame = what_if_frame(result, at)
@@ -76,6 +77,7 @@ def whatif(
     heat = _heat(result, at, logged.delta_free, logged.delta_occupied)
     text: list[str | Command | pl.DataFrame] = [*_story(opened, at), "", *heat]
     emit(frame, "mapreplay.whatif/1", form, output, text=text, force=force)
+    end_with([opened])
 
 
 def _values(option: str, text: str) -> list[float]:

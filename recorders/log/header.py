@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -161,16 +161,35 @@ def _branch_of(pairs: Pairs, floor_plan: FloorPlan) -> Branch:
     )
 
 
-def outcome_pairs(summary: EpisodeSummary) -> dict[str, str]:
-    """The record ``mapreplay.outcome``; what was never reached is empty."""
+def outcome_pairs(summary: EpisodeSummary, missing: Sequence[range] = ()) -> dict[str, str]:
+    """The record ``mapreplay.outcome``; what was never reached is empty.
+
+    Args:
+        summary: Of the steps that there are.
+        missing: Steps that are not, of a recovered log.
+    """
     mapping, correct = summary.mapping_time, summary.correct_time
+    gaps = [[gap.start, gap.stop - 1] for gap in missing]
     return {
         "outcome": str(summary.outcome or ""),
         "steps": str(summary.steps),
         "mapping_time": "" if mapping is None else str(mapping),
         "correct_time": "" if correct is None else str(correct),
         "path_length": repr(float(summary.path_length)),
-    }
+    } | ({"missing_steps": json.dumps(gaps)} if gaps else {})
+
+
+def missing_of(pairs: Pairs) -> tuple[range, ...]:
+    """The steps that are missing, by the record ``mapreplay.outcome``.
+
+    Raises:
+        KeyError, TypeError, ValueError: the record is damaged.
+    """
+    gaps = tuple(range(int(a), int(b) + 1) for a, b in json.loads(pairs.get("missing_steps", "[]")))
+    ends = [-1, *(end for gap in gaps for end in (gap.start, gap.stop)), int(pairs["steps"])]
+    if ends != sorted(ends) or not all(gaps):
+        raise ValueError("missing steps that are not in order")
+    return gaps
 
 
 def summary_of(pairs: Pairs) -> EpisodeSummary:

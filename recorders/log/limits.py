@@ -13,6 +13,13 @@ MAX_CHUNK_BYTES: Final = 512 << 20
 4096). A step of it has 7 in its maps with a float32 prediction; the writer refuses a step that
 needs more, such as one with 16 million frontier cells."""
 
+MAX_OPEN_BYTES: Final = MAX_CHUNK_BYTES + (256 << 20)
+"""Of chunks that are in memory together, because steps are spread over them: other tools may
+order messages as they like."""
+
+MAX_LOOSE_BYTES: Final = 1 << 20
+"""Of messages without a chunk that are read in one go; a longer message alone is one, too."""
+
 MAX_STEP_BYTES: Final = MAX_CHUNK_BYTES - (16 << 20)
 """Of the messages of a step: a chunk that is nearly full ends with it."""
 

@@ -21,7 +21,7 @@ from mapreplay.floorplan import FloorPlan
 from mapreplay.grid import UNKNOWN, Cell, Grid, Origin, Quantized
 from mapreplay.mapping import dequantize
 from mapreplay.recorders.log import cdr
-from mapreplay.recorders.log.limits import check_count
+from mapreplay.recorders.log.limits import MAX_STEPS, check_count
 from mapreplay.sensor import Hits, Sensor, hits_from_ranges, ranges
 from mapreplay.step import (
     FIRST_STAMP_NS,
@@ -161,21 +161,21 @@ def decode_step(messages: Messages, index: int, header: EpisodeHeader) -> Step:
     Arrays own their memory. Topics that are not ours are ignored.
 
     Raises:
-        KeyError: a message is missing.
+        LogError: a message is missing.
         ValueError, struct.error: a message is not what its topic says, or does not fit the
             floor plan.
     """
     plan = header.floor_plan
-    x, y = cdr.unpack_pose(messages[Topic.POSE][0])
+    x, y = cdr.unpack_pose(_message(messages, Topic.POSE))
     row, col = _cells_in(np.array([[x, y, 0.0]]), plan)[0].tolist()
     hits = np.empty(0, np.int16)
     if Topic.SCAN in messages:
         metres = cdr.unpack_ranges(messages[Topic.SCAN][0])
         hits = hits_from_ranges(metres, header.sensor, plan.resolution)
-    outcome, scores = cdr.unpack_metrics(messages[Topic.METRICS][0], len(StepMetrics.names()))
+    outcome, scores = decode_metrics(messages)
     decision = profile = None
     if Topic.DECISION in messages:
-        path = cdr.unpack_path(messages[Topic.PLAN][0])
+        path = cdr.unpack_path(_message(messages, Topic.PLAN))
         choice = cdr.unpack_decision(messages[Topic.DECISION][0])
         decision = _decision(choice, _cells_in(path, plan))
     if Topic.PROFILE in messages:
@@ -187,12 +187,38 @@ def decode_step(messages: Messages, index: int, header: EpisodeHeader) -> Step:
         observed=decode_map(messages, Topic.OBSERVED, plan),
         p_wall=decode_prediction(messages, plan),
         fused=decode_map(messages, Topic.FUSED, plan),
-        frontier=_cells_in(cdr.unpack_grid_cells(messages[Topic.FRONTIER][0]), plan),
+        frontier=_cells_in(cdr.unpack_grid_cells(_message(messages, Topic.FRONTIER)), plan),
         decision=decision,
-        metrics=StepMetrics(*scores),
+        metrics=scores,
         events=tuple(_event(cdr.unpack_log(data)) for data in messages.get(Topic.EVENTS, ())),
-        outcome=Outcome(outcome) if outcome else None,
+        outcome=outcome,
         profile=profile,
+    )
+
+
+def decode_metrics(messages: Messages) -> tuple[Outcome | None, StepMetrics]:
+    """How the episode ended with a step, if it did, and the scores of its maps.
+
+    Raises:
+        LogError: there is no such message.
+        ValueError, struct.error: it is not what it should be.
+    """
+    data = _message(messages, Topic.METRICS)
+    outcome, scores = cdr.unpack_metrics(data, len(StepMetrics.names()))
+    return Outcome(outcome) if outcome else None, StepMetrics(*scores)
+
+
+def _message(messages: Messages, topic: Topic) -> cdr.Buffer:
+    if topic not in messages:
+        raise missing(topic)
+    return messages[topic][0]
+
+
+def missing(topic: str) -> LogError:
+    """What is said of a log in which there are no messages on a topic that a step needs."""
+    return LogError(
+        f"messages on {topic} are missing, which another tool may have left out; a log cannot be "
+        "read without them"
     )
 
 
@@ -207,14 +233,24 @@ def stamp_ns_of(topic: Topic, data: cdr.Buffer) -> int:
     return stamp.sec * 1_000_000_000 + stamp.nanosec
 
 
+def step_of(topic: Topic, data: cdr.Buffer) -> int | None:
+    """The step that a message on `topic` is stamped with; None if its time is no step's.
+
+    Raises:
+        struct.error: the message is too short.
+    """
+    step, rest = divmod(stamp_ns_of(topic, data) - FIRST_STAMP_NS, STEP_NS)
+    return step if rest == 0 and 0 <= step < MAX_STEPS else None
+
+
 def decode_map(messages: Messages, topic: Topic, plan: FloorPlan) -> Grid:
     """int8[H, W]: the map on `topic`; it owns its memory.
 
     Raises:
-        KeyError: there is none.
+        LogError: there is none.
         ValueError, struct.error: it is no map, or does not fit the floor plan.
     """
-    _, cells = cdr.unpack_grid(messages[topic][0])
+    _, cells = cdr.unpack_grid(_message(messages, topic))
     if cells.shape != plan.shape:
         raise ValueError(f"a map of {cells.shape} cells on a floor plan of {plan.shape}")
     return cells

@@ -1,42 +1,48 @@
-"""Reading an episode back: the same Steps, from finished files and from unfinished ones."""
+"""Reading an episode back: the same Steps, from finished files and from unfinished ones, and
+from those that another tool has packed in another way.
+"""
 
 from __future__ import annotations
 
 import os
-import struct
-from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager
+import shlex
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from enum import StrEnum
 from functools import cached_property
-from itertools import islice
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, BinaryIO, Final, TypeVar
 
-import zstandard
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
 from mapreplay.errors import LogError, MapreplayError
 from mapreplay.grid import Grid, Quantized
+from mapreplay.identify import identify_file
 from mapreplay.recorders.log import step_table as table
+from mapreplay.recorders.log.find import whereabouts
 from mapreplay.recorders.log.header import (
     EPISODE_RECORD,
+    NO_STEPS,
     OUTCOME_RECORD,
+    EpisodeSummary,
     Pairs,
     check_episode_pairs,
     header_of,
+    missing_of,
     summary_of,
 )
-from mapreplay.recorders.log.limits import MAX_NAMES, check_count
-from mapreplay.recorders.log.mcap.index import Index, read_index
+from mapreplay.recorders.log.lock import is_locked
+from mapreplay.recorders.log.mcap.index import Index, read_index, tail_of
 from mapreplay.recorders.log.mcap.reader import (
+    DAMAGE,
+    Block,
     Channels,
     is_mcap,
     read_attachment,
-    read_chunk,
+    read_block,
     read_metadata,
     read_record,
-    read_records,
     unpack,
 )
 from mapreplay.recorders.log.messages import (
@@ -46,27 +52,16 @@ from mapreplay.recorders.log.messages import (
     decode_prediction,
     decode_step,
     decode_truth,
+    missing,
 )
-from mapreplay.step import FIRST_STAMP_NS, STEP_NS, EpisodeHeader, Outcome, Step
+from mapreplay.recorders.state import Condition, LogState, gaps_in, span_words
+from mapreplay.recorders.survey import StepMessages, Survey, steps_in, survey
+from mapreplay.step import OURS, EpisodeHeader, Outcome, Step
 
 if TYPE_CHECKING:
     import polars as pl
 
 _T = TypeVar("_T")
-
-_DAMAGE: Final = (
-    ArithmeticError,
-    AttributeError,
-    LookupError,
-    McapError,
-    MemoryError,
-    RecursionError,
-    struct.error,
-    TypeError,
-    ValueError,
-    zstandard.ZstdError,
-)
-"""What the libraries raise when bytes are not what they should be."""
 
 
 class MapName(StrEnum):
@@ -82,7 +77,7 @@ class MapName(StrEnum):
         return Topic(f"/map/{self}")
 
 
-_STEP_TOPICS: Final = frozenset(Topic) - {Topic.TRUTH, Topic.TF, Topic.PREDICTED}
+STEP_TOPICS: Final = frozenset(Topic) - {Topic.TRUTH, Topic.TF, Topic.PREDICTED}
 """What a Step is read from: the others repeat it for viewers."""
 
 
@@ -90,52 +85,109 @@ class EpisodeLog:
     """A log of one episode; opening it checks its checksums and reads what it says once.
 
     Finished files (``.mcap``) are checked whole when they are opened. Unfinished ones, such
-    as the ``.mcap.part`` that a killed run leaves, and files that were cut off, are read up to
-    their last complete chunk, whose checksum is checked as it is read.
+    as the ``.mcap.part`` that a killed run leaves, files that were cut off, and those that
+    another tool has packed in another way, are read through once, up to their last complete
+    record. What they are, `state` tells.
+
+    Steps keep the numbers that they had: ``log[40]`` is step 40, also of a recovered log that has
+    no steps 20 to 39. ``len(log)`` is how many there are; `indices` are their numbers, and `last`
+    is that of the last one. Iteration gives those that there are, in order.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        """Open the file at `path`.
+        """Open the file at `path`, or, if that was finished meanwhile, at its new name.
 
         Raises:
             LogError: it cannot be read, is damaged, was written by a newer version, or is not
                 a log of this package.
         """
-        self.path: Final = Path(path)
+        self.path: Final = whereabouts(Path(path))
         with self._reading() as file:
             if not is_mcap(file):
-                raise LogError("not an MCAP file")
-            self._index = self._read_index(file)
+                raise LogError(self._not_mcap())
+            index = self._index = self._read_index(file)
             pairs = self._find_metadata(file, EPISODE_RECORD)
             if pairs is None:
-                raise LogError(f"no log of mapreplay: it has no metadata {EPISODE_RECORD!r}")
+                raise LogError(_what_bag(file, index))
             check_episode_pairs(pairs)
-            self.header: Final = self._read_header(file, pairs)
-            ending = self._find_metadata(file, OUTCOME_RECORD) if self._index else None
-            self.summary: Final = None if ending is None else summary_of(ending)
+            ending = self._find_metadata(file, OUTCOME_RECORD) if index.is_closed else None
+            summary = None if ending is None else summary_of(ending)
+            found = None if index.is_ours and summary else self._survey(file, index)
+            self._channels: Final = found.channels if found else index.channels
+            self._blocks: Final = found.sorted_blocks() if found else index.blocks
+            self.header: Final = self._read_header(file, pairs, found)
+            if found is None:
+                gaps, last = missing_of(ending or {}), summary.steps if summary else -1
+                self._numbers: Sequence[int] = _without(last + 1, gaps)
+            else:
+                self._numbers = found.steps(is_ours=self.header.simulator == OURS)
+                last = self._numbers[-1] if self._numbers else -1
+                if summary is None and index.is_closed and found.outcome_at(last) is not None:
+                    summary = self._summarize()  # another tool has left it out
+                elif summary is not None:
+                    if not self._numbers:
+                        raise missing(Topic.METRICS)
+                    last = max(last, summary.steps)
+                gaps = gaps_in(self._numbers, last)
+            self.summary: Final = summary
             """How the episode ended; None if the log is unfinished, with an `outcome` of None
             if it was recovered."""
+            tail = tail_of(file, index)
+            self.state: Final = LogState(self._condition(), len(self._numbers), gaps, tail)
+            """Whether it is whole, and if not, why."""
 
     @property
     def finished(self) -> bool:
-        """Whether the log is whole: its last step was written, and nothing was cut off."""
-        return self.outcome is not None
+        """Whether the whole episode is in it: its last step, and all before."""
+        return self.state.finished
 
     @property
     def outcome(self) -> Outcome | None:
         """How the episode ended; None if the log is unfinished, also if it was recovered."""
-        return self.summary.outcome if self.summary else None
+        return self.summary.outcome if self.summary and self.finished else None
+
+    @property
+    def indices(self) -> Sequence[int]:
+        """The numbers of the steps that there are, in order: 0, 1, 2, ... but for a log with
+        gaps.
+        """
+        return self._numbers
+
+    @property
+    def last(self) -> int:
+        """The number of the last step; -1 if there is none."""
+        return self._numbers[-1] if self._numbers else -1
+
+    def check_whole_until(self, last: int, what: str) -> None:
+        """Refuse to do what needs all steps up to `last`, if there are gaps among them.
+
+        Raises:
+            LogError: there are.
+        """
+        gaps = [gap for gap in self.state.missing if gap.start <= last]
+        if gaps:
+            raise LogError(f"{self.path}: {span_words(gaps)} missing; {what} needs all of them")
+
+    @property
+    def repacked(self) -> tuple[str, ...]:
+        """What in the file is not as this package writes it; empty if all is, or if it is cut off.
+
+        A tool that repacks, filters or merges MCAP files writes checksums, and an index, of its
+        own: that these are right says nothing about what we had written.
+        """
+        if self._index.is_ours or not self._index.is_closed:
+            return ()
+        by = "mapreplay" if self._index.library == OURS else self._index.library or "another tool"
+        said = [f"packed by {by!r} and not as mapreplay does it: its checksums are not ours"]
+        if table.ATTACHMENT not in self._index.attachments:
+            said.append(f"without {table.ATTACHMENT}: the scalars were read from its steps")
+        if OUTCOME_RECORD not in self._index.metadata:
+            said.append(f"without {OUTCOME_RECORD}: the outcome was read from its steps")
+        return tuple(said)
 
     def __len__(self) -> int:
-        """Number of steps, the one at the start included."""
-        return self._length
-
-    @cached_property
-    def _length(self) -> int:
-        if self.summary:
-            return self.summary.steps + 1
-        with self._reading() as file:
-            return sum(1 for _ in _steps_of(_chunks(file), (), Channels()))
+        """Number of steps that there are, the one at the start included."""
+        return len(self._numbers)
 
     def __iter__(self) -> Iterator[Step]:
         return self.steps()
@@ -147,7 +199,7 @@ class EpisodeLog:
             LogError: the file is damaged or can no longer be read.
         """
         return self._decoded(
-            _STEP_TOPICS, lambda messages, index: decode_step(messages, index, self.header)
+            STEP_TOPICS, lambda messages, index: decode_step(messages, index, self.header)
         )
 
     def steps_with_messages(self) -> Iterator[tuple[Step, Messages]]:
@@ -189,141 +241,205 @@ class EpisodeLog:
         return self._decoded(topics, decode)
 
     def __getitem__(self, index: int) -> Step:
-        """Step `index`; negative ones count from the end. Finished logs are not read through.
+        """Step `index`; negative ones count from the end. Nothing before it is read.
 
         Raises:
             IndexError: there is no such step.
-            LogError: the file is damaged or can no longer be read.
+            LogError: the step is missing, or the file is damaged or can no longer be read.
         """
-        k = index + len(self) if index < 0 else index
-        if not 0 <= k < len(self):
-            raise IndexError(f"step {index} of {len(self)}")
+        k = index + self.last + 1 if index < 0 else index
+        if not 0 <= k <= self.last:
+            raise IndexError(f"step {index} of {self.last + 1}")
+        self.check_step(k)
         with self._reading() as file:
-            found = self._index
-            chunks = _seek(file, found, k) if found else _chunks(file)
-            channels = found.channels if found else Channels()
-            for step, messages in _steps_of(chunks, _STEP_TOPICS, channels):
+            blocks = [block for block in self._blocks if block.first <= k <= block.last]
+            for step, messages in self._steps_in(file, blocks, STEP_TOPICS):
                 if step == k:
                     return decode_step(messages, k, self.header)
             raise ValueError(f"step {k} is missing")
 
+    def check_step(self, index: int) -> None:
+        """Refuse a step that is missing in the middle of a log.
+
+        Raises:
+            LogError: it is.
+        """
+        for gap in self.state.missing:
+            if index in gap:
+                raise LogError(f"{self.path}: {span_words([gap])} missing, which lost {index}")
+
     def table(self) -> pl.DataFrame:
         """The scalars of all steps; see `mapreplay.recorders.log.step_table.table_of`.
 
-        Read from the attachment, or for an unfinished log from its steps.
+        Read from the attachment, or from the steps of a log that has none.
 
         Raises:
             LogError: the file is damaged or can no longer be read.
         """
-        if self.summary is None:
+        offset = self._index.attachments.get(table.ATTACHMENT)
+        if offset is None or not self._has_table:
             return table.table_of([table.row_of(step) for step in self.steps()])
         with self._reading() as file:
-            offset = self._index.attachments.get(table.ATTACHMENT) if self._index else None
-            if offset is None:
-                raise ValueError(f"it has no attachment {table.ATTACHMENT}")
             body = read_record(file, offset, Opcode.ATTACHMENT)
             return table.from_parquet(read_attachment(body).data, rows=len(self))
+
+    @property
+    def _has_table(self) -> bool:
+        """Whether the table of the file is of the steps that there are."""
+        return (
+            self.summary is not None
+            and self.summary.steps == self.last
+            and (self._index.is_ours or not self.state.missing)
+        )
 
     def _decoded(
         self, wanted: Collection[Topic], decode: Callable[[Messages, int], _T]
     ) -> Iterator[_T]:
         """What `decode` makes of the `wanted` messages of each step, and of its index."""
         with self._reading() as file:
-            count = 0
-            for index, messages in _steps_of(_chunks(file), wanted, Channels()):
-                if index != count:
-                    raise ValueError(f"step {count} is missing")
+            expected = iter(self._numbers)
+            for index, messages in self._steps_in(file, self._blocks, wanted):
+                if index != (number := next(expected, None)):
+                    raise ValueError(f"step {index if number is None else number} is missing")
                 yield decode(messages, index)
-                count += 1
-            if self.summary and count != len(self):
-                raise ValueError(f"{count} steps, and not {len(self)}")
+            if (number := next(expected, None)) is not None:
+                raise ValueError(f"step {number} is missing")
 
-    def _read_index(self, file: BinaryIO) -> Index | None:
+    def _steps_in(
+        self, file: BinaryIO, blocks: Sequence[Block], wanted: Collection[Topic]
+    ) -> Iterator[StepMessages]:
+        """The `wanted` messages of the steps in `blocks`, of those that there are."""
+        found = steps_in(file, blocks, wanted, self._channels)
+        if isinstance(self._numbers, range):
+            return found
+        return (of_step for of_step in found if of_step.step in self._number_set)
+
+    @cached_property
+    def _number_set(self) -> frozenset[int]:
+        return frozenset(self._numbers)
+
+    def _read_index(self, file: BinaryIO) -> Index:
         return read_index(file)
 
-    def _find_metadata(self, file: BinaryIO, name: str) -> Pairs | None:
-        if self._index:
-            offset = self._index.metadata.get(name)
-            if offset is None:
-                return None
-            return read_metadata(read_record(file, offset, Opcode.METADATA)).metadata
-        for count, record in enumerate(read_records(file, wanted={Opcode.METADATA})):
-            check_count("metadata records", count, MAX_NAMES)
-            metadata = read_metadata(record.body)
-            if metadata.name == name:
-                return metadata.metadata
-        return None
+    def _survey(self, file: BinaryIO, index: Index) -> Survey:
+        return survey(file, index.blocks, index.channels)
 
-    def _read_header(self, file: BinaryIO, pairs: Pairs) -> EpisodeHeader:
-        for records in islice(_chunks(file), 1):  # where the writer puts it
-            for message in unpack(records, Channels(), {Topic.TRUTH}):
-                resolution = float(pairs["resolution"])
-                plan = decode_truth(message.data, pairs["floor_plan_id"], resolution)
-                return header_of(pairs, plan)
-        raise LogError("cut off before the true map; nothing in it can be read")
+    def _summarize(self) -> EpisodeSummary:
+        """How the episode ended, from its steps."""
+        summary = NO_STEPS
+        for step in self.steps():
+            summary = summary.after(step, self.header.at(step.index).config)
+        return summary
+
+    def _condition(self) -> Condition:
+        if self.summary is not None:
+            lost = self.summary.outcome is None
+            return Condition.RECOVERED if lost else Condition.FINISHED
+        if self._index.is_closed:
+            return Condition.UNFINISHED
+        if is_locked(self.path):
+            return Condition.BEING_WRITTEN
+        return Condition.UNFINISHED if self.path.suffix == ".part" else Condition.CUT_OFF
+
+    def _find_metadata(self, file: BinaryIO, name: str) -> Pairs | None:
+        offset = self._index.metadata.get(name)
+        if offset is None:
+            return None
+        metadata = read_metadata(read_record(file, offset, Opcode.METADATA))
+        if metadata.name != name:
+            raise ValueError(f"{name} is not where its index says")
+        return metadata.metadata
+
+    def _read_header(self, file: BinaryIO, pairs: Pairs, found: Survey | None) -> EpisodeHeader:
+        block = found.truth if found else self._blocks[0]  # where the writer puts it
+        for message in unpack(read_block(file, block), Channels(), {Topic.TRUTH}) if block else ():
+            resolution = float(pairs["resolution"])
+            plan = decode_truth(message.data, pairs["floor_plan_id"], resolution)
+            return header_of(pairs, plan)
+        raise self._without_truth()
+
+    def _without_truth(self) -> LogError:
+        if self._index.is_closed:
+            return missing(Topic.TRUTH)
+        return LogError("cut off before the true map; nothing in it can be read")
+
+    def _damaged(self, reason: str) -> str:
+        """What is said of damage."""
+        command = f"mapreplay recover {shlex.quote(str(self.path))}"
+        return f"damaged ({reason}); copy it again, or save what can be read: {command}"
+
+    def _not_mcap(self) -> str:
+        if is_locked(self.path):
+            return "another process has just begun to write it; nothing can be read yet"
+        what = identify_file(self.path)
+        return f"not an MCAP file: {what}" if what else "not an MCAP file"
 
     @contextmanager
     def _reading(self) -> Iterator[BinaryIO]:
         """The open file; whatever is wrong with it becomes a LogError that names it."""
         try:
-            with self.path.open("rb") as file:
+            with whereabouts(self.path).open("rb") as file:
                 yield file
         except MapreplayError as error:
-            raise LogError(f"{self.path}: {error}") from None
-        except OSError as error:
-            raise LogError(f"{self.path}: cannot be read ({error.strerror or error})") from None
-        except _DAMAGE as error:
-            reason = " ".join(str(error).split())[:200] or type(error).__name__
-            if isinstance(error, KeyError):
-                reason += " is missing"
+            told = str(error)
             raise LogError(
-                f"{self.path}: damaged ({reason}); copy it again, or record it again"
+                told if told.startswith(f"{self.path}: ") else f"{self.path}: {told}"
             ) from None
+        except OSError as error:
+            raise LogError(f"{self.path}: {cannot_read(self.path, error)}") from None
+        except DAMAGE as error:
+            raise LogError(f"{self.path}: {self._damaged(reason_of(error))}") from None
 
 
-class SalvagedLog(EpisodeLog):
-    """A log read as if its index had been cut off: up to its first damaged chunk."""
-
-    def _read_index(self, file: BinaryIO) -> None:  # noqa: ARG002
-        return None
-
-
-class _StepMessages(NamedTuple):
-    """The messages of one step."""
-
-    step: int
-    by_topic: dict[str, list[memoryview]]
+def reason_of(error: Exception) -> str:
+    """What a library said of damage, as one short line."""
+    reason = " ".join(str(error).split())[:200] or type(error).__name__
+    return f"{reason} is missing" if isinstance(error, KeyError) else reason
 
 
-def _chunks(file: BinaryIO) -> Iterator[bytes]:
-    """The records of all chunks."""
-    for record in read_records(file, wanted={Opcode.CHUNK}):
-        yield read_chunk(record.body)
+def cannot_read(path: Path, error: OSError) -> str:
+    """Why a file cannot be read, and where it should be if it is a link."""
+    reason = f"cannot be read ({error.strerror or error})"
+    if path.is_symlink():
+        try:
+            return f"{reason}: a link to {path.readlink()}"
+        except OSError:
+            return reason
+    return reason
 
 
-def _seek(file: BinaryIO, index: Index, step: int) -> Iterator[bytes]:
-    """The records of the chunks that `step` is in."""
-    for chunk in index.chunks_at(FIRST_STAMP_NS + step * STEP_NS):
-        yield read_chunk(read_record(file, chunk.offset, Opcode.CHUNK))
+def _without(count: int, gaps: Sequence[range]) -> Sequence[int]:
+    """The numbers 0 to count - 1 that are in no gap."""
+    if not gaps:
+        return range(count)
+    starts = [0, *(gap.stop for gap in gaps)]
+    stops = [*(gap.start for gap in gaps), count]
+    return tuple(chain.from_iterable(map(range, starts, stops)))
 
 
-def _steps_of(
-    chunks: Iterator[bytes], wanted: Collection[Topic], channels: Channels
-) -> Iterator[_StepMessages]:
-    """The `wanted` messages by step; a step without metrics was cut off and is left out.
+_SHOWN: Final = 8
 
-    All messages of a step are in one chunk, in any order. `channels` learns those that the
-    chunks declare.
 
-    Raises:
-        ValueError: a message is logged at another time than its step's.
-    """
-    for records in chunks:
-        steps: dict[int, dict[str, list[memoryview]]] = {}
-        for topic, step, data, log_time in unpack(records, channels, {*wanted, Topic.METRICS}):
-            if log_time != FIRST_STAMP_NS + step * STEP_NS:
-                raise ValueError(f"a message of step {step} is logged at {log_time} ns")
-            steps.setdefault(step, {}).setdefault(topic, []).append(data)
-        for step in sorted(steps):
-            if Topic.METRICS in steps[step]:
-                yield _StepMessages(step, steps[step])
+def _what_bag(file: BinaryIO, index: Index) -> str:
+    """What an MCAP file is that has no metadata of ours."""
+    channels = index.channels
+    for block in index.blocks[:_LOOKED_AT]:
+        if channels.names:
+            break
+        with suppress(LogError):  # one of our topics, but not of our type
+            for _ in unpack(read_block(file, block), channels, ()):
+                pass
+    topics = sorted(channels.names)
+    if {Topic.TRUTH, Topic.METRICS} <= set(topics):
+        return (
+            f"has the topics of a log, but no metadata {EPISODE_RECORD!r}, which another tool may "
+            "have left out; it cannot be read without it"
+        )
+    kind = {"ros2": "a ROS 2 bag", "ros1": "a ROS 1 bag in MCAP"}.get(index.profile)
+    kind = kind or ("a ROS 2 bag" if channels.encodings == {"cdr"} else "an MCAP file")
+    some = ", ".join(topics[:_SHOWN]) + (" ..." if len(topics) > _SHOWN else "")
+    return f"{kind} {f'with topics {some}' if topics else 'without topics'}: not a log of mapreplay"
+
+
+_LOOKED_AT: Final = 16
+"""Blocks in which topics are looked for."""

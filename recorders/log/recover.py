@@ -1,24 +1,27 @@
-"""Finishing a log that nobody finished: the steps that can be read, as a whole file.
+"""Finishing a log that nobody finished, or that was damaged: the steps that can be read.
 
-A log is recovered up to its first damaged or missing step. If its last step is among what was
-read, the new file is, byte for byte, the one that an undisturbed recording leaves. Otherwise
-the outcome in its record ``mapreplay.outcome`` is empty: such a file has an index, checksums
-and the table of its steps, but ``EpisodeLog.finished`` is False, and every verb that says how
-an episode ended calls it unfinished.
+If all steps are among them, the new file is, byte for byte, the one that an undisturbed recording
+leaves. Otherwise it has an index, checksums and the table of its steps, which keep their numbers,
+and its record ``mapreplay.outcome`` says what is lost: the outcome is empty where the end is, and
+steps in the middle are listed. ``EpisodeLog.finished`` is False, and its `state` says why.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from mapreplay.errors import LogError
+from mapreplay.files import check_new, whole_path
+from mapreplay.recorders.log.find import whereabouts
 from mapreplay.recorders.log.lock import is_locked
-from mapreplay.recorders.log.reader import EpisodeLog, SalvagedLog
+from mapreplay.recorders.log.mcap.index import Tail
+from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.writer import EpisodeWriter
-from mapreplay.step import Step
+from mapreplay.recorders.salvage import SalvagedLog
+from mapreplay.recorders.state import Condition, gaps_in
+from mapreplay.step import Outcome
 
 
 @dataclass(frozen=True)
@@ -29,10 +32,21 @@ class Recovered:
     """The finished file."""
     steps: int
     """How many steps are in it, the one at the start included."""
-    whole: bool
-    """Whether the episode's last step is among them, so that nothing is missing."""
-    damage: str | None
-    """Where the reading stopped and why, as a line; None if the source just ends there."""
+    last: int
+    """The number of the last of them."""
+    outcome: Outcome | None
+    """How the episode ended; None if its end is lost."""
+    missing: tuple[range, ...]
+    """The steps before the last that are lost."""
+    damages: tuple[str, ...]
+    """What could not be read of the source and why, a line each."""
+    tail: Tail | None
+    """What follows the end of the log in the source."""
+
+    @property
+    def whole(self) -> bool:
+        """Whether the episode's last step is in it, and all before."""
+        return self.outcome is not None and not self.missing
 
 
 def recovered_path(source: Path) -> Path:
@@ -52,9 +66,11 @@ def recover(source: Path, *, force: bool = False) -> Recovered | None:
         force: Overwrite the file of that name.
 
     Raises:
-        LogError: another process is writing `source`, not even its first step can be read, or
-            the new file is there already or cannot be written.
+        LogError: another process is writing `source`, or not even a step can be read.
+        ExistsError: the new file is there already.
+        WriteError: it cannot be written.
     """
+    source = whereabouts(source)
     if is_locked(source):
         raise LogError(f"{source}: another process is writing it; wait until it is done")
     if source.suffix == ".mcap" and _is_intact(source):
@@ -62,42 +78,50 @@ def recover(source: Path, *, force: bool = False) -> Recovered | None:
     path = recovered_path(source)
     if path.suffix != ".mcap":
         raise LogError(f"{source}: the name of a log ends in .mcap or .mcap.part")
-    if path.exists() and not force:
-        raise LogError(f"{path}: exists; move it away, or overwrite it with --force")
+    check_new(path, force=force)
     log = SalvagedLog(source)
-    # `source` may be the .part of `path`: the writer needs another one.
-    draft = path.with_suffix(".recovering.mcap")
-    writer = EpisodeWriter(draft, log.header, profile=True, force=True)
-    damage: list[str] = []
-    last: Step | None = None
+    with whole_path(path, force=force) as draft:
+        numbers, outcome = _write(log, draft)
+    return Recovered(
+        path=path,
+        steps=len(numbers),
+        last=numbers[-1],
+        outcome=outcome,
+        missing=gaps_in(numbers, numbers[-1]),
+        damages=tuple(log.damages),
+        tail=log.tail,
+    )
+
+
+def _write(log: SalvagedLog, path: Path) -> tuple[list[int], Outcome | None]:
+    """Write the steps that can be read; their numbers, and how the episode ended."""
+    writer = EpisodeWriter(path, log.header, profile=True)
+    numbers: list[int] = []
+    outcome = None
     try:
         with writer:
-            for last in _until_damage(log.steps(), damage):
-                writer.write(last)
-                if last.outcome is not None:
+            for step in log.readable_steps():
+                writer.skip_to(step.index)
+                writer.write(step)
+                numbers.append(step.index)
+                outcome = step.outcome
+                if outcome is not None:
                     break
-            if last is None:
-                raise LogError(next(iter(damage), f"{source}: cut off before its first step"))
+            if not numbers:
+                reason = log.damages[0] if log.damages else "cut off before its first step"
+                raise LogError(f"{log.path}: no step of it can be read ({reason})")
             writer.close_recovered()
-        draft.replace(path)
-    except OSError as error:
-        raise LogError(f"{path}: cannot be written ({error.strerror or error})") from None
     finally:
-        for left in (draft, writer.part):
-            with suppress(OSError):
-                left.unlink(missing_ok=True)
-    return Recovered(path, last.index + 1, last.outcome is not None, damage[0] if damage else None)
+        with suppress(OSError):
+            writer.part.unlink(missing_ok=True)
+    return numbers, outcome
 
 
 def _is_intact(source: Path) -> bool:
     with suppress(LogError):
-        return EpisodeLog(source).summary is not None
+        state = EpisodeLog(source).state
+        return state.tail is None and state.condition in _WHOLE_FILES
     return False
 
 
-def _until_damage(steps: Iterator[Step], damage: list[str]) -> Iterator[Step]:
-    """The steps before the first error, which goes to `damage`."""
-    try:
-        yield from steps
-    except LogError as error:
-        damage.append(str(error))
+_WHOLE_FILES = {Condition.FINISHED, Condition.RECOVERED}

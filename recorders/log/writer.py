@@ -132,6 +132,16 @@ class EpisodeWriter:
             if full or len(self._tally.rows) % STEPS_A_CHUNK == 0:
                 self._flush()
 
+    def skip_to(self, index: int) -> None:
+        """Say that the steps up to `index` are lost, which is the next that will be written.
+
+        Only for what is recovered: the log will be finished by `close_recovered`.
+
+        Raises:
+            ValueError: step `index` was written, or is before one that was.
+        """
+        self._tally.skip_to(index)
+
     def close(self) -> None:
         """Finish the log if its last step was written, otherwise keep it as ``.part``.
 
@@ -140,13 +150,15 @@ class EpisodeWriter:
         """
         if self._file.closed:
             return
-        if self._tally.ended:
+        if self._tally.ended and not self._tally.missing:
             self._finish()
         else:
             self._keep_part()
 
     def close_recovered(self) -> None:
-        """Finish a log of which the end is lost: its outcome stays unknown.
+        """Finish a log of which the end is lost, or steps in its middle.
+
+        If the end is, its outcome stays unknown.
 
         Raises:
             LogError: as for `close`.
@@ -162,7 +174,7 @@ class EpisodeWriter:
             self._flush()
             parquet = table.to_parquet(table.table_of(self._tally.rows))
             self._mcap.add_attachment(table.ATTACHMENT, table.MEDIA_TYPE, parquet)
-            self._mcap.add_metadata(OUTCOME_RECORD, outcome_pairs(summary))
+            self._mcap.add_metadata(OUTCOME_RECORD, outcome_pairs(summary, self._tally.missing))
             self._mcap.finish()
             self._sync()
             self._refuse_overwriting()
@@ -221,12 +233,27 @@ class _Tally:
     def __init__(self, header: EpisodeHeader) -> None:
         self.rows: list[table.Row] = []
         self.summary = NO_STEPS
+        self.missing: list[range] = []
+        """Steps that were lost before those that came."""
         self._config = header.config
+        self._next = 0
 
     @property
     def ended(self) -> bool:
         """Whether the last step of the episode was counted."""
         return self.summary.outcome is not None
+
+    def skip_to(self, index: int) -> None:
+        """Leave out the steps before `index`.
+
+        Raises:
+            ValueError: there are none to leave out.
+        """
+        if self.ended or index < self._next:
+            raise ValueError(f"step {index} does not follow {self._next} steps")
+        if index > self._next:
+            self.missing.append(range(self._next, index))
+        self._next = index
 
     def add(self, step: Step) -> None:
         """Count a step.
@@ -234,8 +261,9 @@ class _Tally:
         Raises:
             ValueError: it is not the next one.
         """
-        if self.ended or step.index != len(self.rows):
-            raise ValueError(f"step {step.index} does not follow {len(self.rows)} steps")
+        if self.ended or step.index != self._next:
+            raise ValueError(f"step {step.index} does not follow {self._next} steps")
+        self._next += 1
         self.rows.append(table.row_of(step))
         self.summary = self.summary.after(step, self._config)
 

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from math import nan
 from typing import TYPE_CHECKING, Final, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from mapreplay.errors import UsageError
+from mapreplay.grid import Cell
 from mapreplay.recorders.pictures.annotations import Mark, shown_at
 from mapreplay.recorders.pictures.canvas import Sheet
 from mapreplay.recorders.pictures.layers import (
@@ -82,14 +84,15 @@ class Filmed:
         Raises:
             LogError: the log is damaged.
         """
-        track, states, events = [], [], []
+        track, states, events = list[Cell](), list[State](), list[tuple[int, Event]]()
         scores: dict[Curve, list[float]] = {curve: [] for curve in Curve}
         for step in log.steps():
-            track.append(step.agent)
-            states.append(state_of(step))
+            lost = step.index - len(track)  # of a recovered log: it stays where it was seen last
+            track += [track[-1] if track else step.agent] * lost + [step.agent]
+            states += [states[-1] if states else state_of(step)] * lost + [state_of(step)]
             events += [(step.index, event) for event in step.events]
             for curve, values in scores.items():
-                values.append(getattr(step.metrics, curve.value))
+                values.extend([nan] * lost + [getattr(step.metrics, curve.value)])
         return cls(
             log,
             marks,
@@ -172,9 +175,12 @@ class Film:
         """
         readers = [episode.log.steps() for episode in self._episodes]
         steps = [next(reader) for reader in readers]
+        following = [next(reader, None) for reader in readers]
         for index in range(self.last + 1):
-            if index:
-                steps = [next(r, step) for r, step in zip(readers, steps, strict=True)]
+            for number, reader in enumerate(readers):
+                step = following[number]
+                if step is not None and step.index <= index:
+                    steps[number], following[number] = step, next(reader, None)
             if index % every == 0 or index == self.last:
                 yield self._draw(steps, index)
 

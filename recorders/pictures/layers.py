@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from enum import StrEnum
-from itertools import zip_longest
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -208,12 +207,29 @@ def first_parting(a: Iterable[Step], b: Iterable[Step]) -> int | None:
     on floor plans of the same size: at the step that is returned the agents move apart, or one
     of them ends. 0 also where they never were the same.
     """
-    for index, (one, other) in enumerate(zip_longest(a, b)):
+    for one, other in side_by_side(a, b):
         if (
             one is None
             or other is None
             or one.agent != other.agent
             or not np.array_equal(one.observed, other.observed)
         ):
-            return max(0, index - 1)
+            return max(0, (one.index if one else other.index if other else 0) - 1)
     return None
+
+
+def side_by_side(a: Iterable[Step], b: Iterable[Step]) -> Iterator[tuple[Step | None, Step | None]]:
+    """The steps of two episodes by number; None where one has ended.
+
+    A step that one of them misses in the middle, because it is recovered, is left out.
+    """
+    of_a, of_b = iter(a), iter(b)
+    one, other = next(of_a, None), next(of_b, None)
+    while one is not None or other is not None:
+        if one is not None and other is not None and one.index < other.index:
+            one = next(of_a, None)
+        elif one is not None and other is not None and other.index < one.index:
+            other = next(of_b, None)
+        else:
+            yield one, other
+            one, other = next(of_a, None), next(of_b, None)

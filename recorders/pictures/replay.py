@@ -13,6 +13,7 @@ from mapreplay.errors import UsageError
 from mapreplay.recorders.pictures.annotations import Mark
 from mapreplay.recorders.pictures.layers import first_parting
 from mapreplay.recorders.pictures.palette import Curve
+from mapreplay.recorders.state import by_step
 from mapreplay.step import EpisodeHeader, Step
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ class Replay:
         Raises:
             LogError: the log is damaged.
         """
-        profiled = len(log) > 0 and log[0].profile is not None
+        profiled = len(log) > 0 and log[log.indices[0]].profile is not None
         return cls(log.header, log.steps(), marks, profiled)
 
     @classmethod
@@ -64,7 +65,10 @@ class Replay:
         table = log.table()
         return cls(
             log.header,
-            scores={c: table[c.value].fill_null(float("nan")).to_numpy() for c in Curve},
+            scores={
+                c: by_step(table["step"].to_numpy(), table[c.value].fill_null(np.nan).to_numpy())
+                for c in Curve
+            },
         )
 
 

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from mapreplay.analysis.episodes.corpus import LoggedEpisode
-from mapreplay.analysis.episodes.summary import EpisodeRow
+from mapreplay.analysis.episodes.summary import UNFINISHED, EpisodeRow
 from mapreplay.config import EpisodeConfig
 from mapreplay.floorplan import FloorPlan
 from mapreplay.grid import Cell
+from mapreplay.recorders.state import Condition, LogState
 from mapreplay.step import EpisodeHeader, PredictorIdentity
 
 
@@ -69,4 +70,8 @@ def made_up(
         metres=0.1 * np.arange(last + 1),
         observed=curve,
         fail_safe=np.zeros(last + 1, np.bool_),
+        state=LogState(_CONDITIONS.get(row.outcome, Condition.FINISHED), last + 1),
     )
+
+
+_CONDITIONS = {UNFINISHED: Condition.CUT_OFF}

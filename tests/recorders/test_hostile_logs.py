@@ -159,13 +159,13 @@ def test_a_record_of_2_to_the_60_bytes_is_a_cut(parts: Parts, tmp_path: Path, cl
     log = read_all(path)
     assert not log.finished
     assert len(log) == 2
-    refused(path, MCAP0_MAGIC + raw(Opcode.METADATA, b"abc", claim), "no log of mapreplay")
+    refused(path, MCAP0_MAGIC + raw(Opcode.METADATA, b"abc", claim), "not a log of mapreplay")
 
 
 def test_lengths_inside_of_a_record_are_not_believed(parts: Parts, tmp_path: Path) -> None:
     path, huge = tmp_path / "a.mcap", 1 << 60
     name = struct.pack("<I", 2**32 - 1) + b"mapreplay.episode"
-    refused(path, MCAP0_MAGIC + raw(Opcode.METADATA, name), "no log of mapreplay|damaged")
+    refused(path, MCAP0_MAGIC + raw(Opcode.METADATA, name), "not a log of mapreplay|damaged")
     body = struct.pack("<QQQII4sQ", 0, 0, 100, 0, 4, b"zstd", huge)
     refused(path, MCAP0_MAGIC + parts.start + raw(Opcode.CHUNK, body), "damaged")
     long = chunk_of(raw(Opcode.MESSAGE, b"abc", huge))
@@ -192,11 +192,28 @@ def test_a_chunk_that_claims_more_than_the_limit_is_refused(
     refused(tmp_path / "a.mcap", content, f"a chunk of {claim} bytes; at most 536870912")
 
 
-@pytest.mark.parametrize("compression", ["lz4", "", "bzip9"])
-def test_other_compressions_are_refused(parts: Parts, tmp_path: Path, compression: str) -> None:
-    bomb = lz4.frame.compress(bytes(256 << 20))
-    content = MCAP0_MAGIC + parts.start + chunk_with(bomb, 1000, compression=compression)
-    refused(tmp_path / "a.mcap", content, f"compressed with '{compression}'")
+@pytest.mark.parametrize("claim", [1000, limits.MAX_CHUNK_BYTES // 8])
+@pytest.mark.parametrize("stored", [True, False])
+def test_an_lz4_bomb_unpacks_to_no_more_than_it_claims(
+    parts: Parts, tmp_path: Path, claim: int, stored: bool
+) -> None:
+    bomb = lz4.frame.compress(bytes(256 << 20), store_size=stored)
+    content = MCAP0_MAGIC + parts.start + chunk_with(bomb, claim, compression="lz4")
+    refused(tmp_path / "a.mcap", content, "damaged")
+    content = MCAP0_MAGIC + parts.start + chunk_with(bomb, 1 << 40, compression="lz4")
+    refused(tmp_path / "a.mcap", content, "at most 536870912")
+
+
+def test_a_chunk_that_is_not_compressed_has_the_size_that_it_claims(
+    parts: Parts, tmp_path: Path
+) -> None:
+    content = MCAP0_MAGIC + parts.start + chunk_with(bytes(2000), 1000, compression="")
+    refused(tmp_path / "a.mcap", content, "a chunk of 2000 bytes that should have 1000")
+
+
+def test_other_compressions_are_refused(parts: Parts, tmp_path: Path) -> None:
+    content = MCAP0_MAGIC + parts.start + chunk_with(bytes(1000), 1000, compression="bzip9")
+    refused(tmp_path / "a.mcap", content, r"mcap: a chunk is compressed with 'bzip9', .*repack")
 
 
 def test_millions_of_messages_are_refused(parts: Parts, tmp_path: Path) -> None:
@@ -247,7 +264,7 @@ def test_a_bag_of_another_tool_is_refused(tmp_path: Path) -> None:
         topic = bag.add_connection("/map/truth", text.__msgtype__, typestore=store)
         bag.write(topic, 1, store.serialize_cdr(text("hello"), text.__msgtype__))
     (path,) = (tmp_path / "bag").glob("*.mcap")
-    refused(path, path.read_bytes(), "no log of mapreplay")
+    refused(path, path.read_bytes(), "a ROS 2 bag with topics /map/truth: not a log of mapreplay")
 
 
 @pytest.mark.parametrize(

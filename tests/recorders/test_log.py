@@ -11,9 +11,9 @@ from mapreplay.config import MapKind
 from mapreplay.episode import run_episode
 from mapreplay.errors import LogError
 from mapreplay.floorplan import explorable
-from mapreplay.recorders.log import reader as log_module
 from mapreplay.recorders.log.find import find_logs
 from mapreplay.recorders.log.header import EpisodeSummary
+from mapreplay.recorders.log.mcap import reader as container
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.step_table import row_of, table_of
 from mapreplay.recorders.log.writer import EpisodeWriter
@@ -156,9 +156,9 @@ def test_steps_are_read_chunk_by_chunk(blurred: Recorded, monkeypatch: pytest.Mo
         opened.append(len(body))
         return read_chunk(body)
 
-    read_chunk = log_module.read_chunk
+    read_chunk = container.read_chunk
     log = EpisodeLog(blurred.path)
-    monkeypatch.setattr(log_module, "read_chunk", counting)
+    monkeypatch.setattr(container, "read_chunk", counting)
     first = list(itertools.islice(log.steps(), 20))
     assert len(first) == 20
     assert len(opened) == 2  # the truth, and the first 20 steps

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from mapreplay.errors import LogError
+from mapreplay.errors import ExistsError, LogError
 from mapreplay.recorders.log import recover as recovering
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.recover import recover
@@ -41,7 +41,8 @@ def test_a_log_that_lost_only_its_index_becomes_the_undisturbed_file(
 def test_what_was_cut_off_stays_unknown(unfinished: Recorded) -> None:
     saved = recover(unfinished.path)
     assert saved is not None
-    assert (saved.steps, saved.whole, saved.damage) == (40, False, None)
+    assert (saved.steps, saved.last, saved.outcome, saved.whole) == (40, 39, None, False)
+    assert (saved.missing, saved.damages, saved.tail) == ((), (), None)
     log = EpisodeLog(saved.path)
     assert not log.finished
     assert log.outcome is None
@@ -82,7 +83,7 @@ def test_where_not_even_a_step_is_left_nothing_is_written(blurred: Recorded, par
 def test_nothing_is_overwritten_without_force(blurred: Recorded, part: Path) -> None:
     part.write_bytes(blurred.path.read_bytes())
     part.with_suffix("").write_bytes(b"mine")
-    with pytest.raises(LogError, match=r"a\.mcap: exists; .* --force"):
+    with pytest.raises(ExistsError, match=r"a\.mcap: exists; .* --force"):
         recover(part)
     assert part.with_suffix("").read_bytes() == b"mine"
     assert recover(part, force=True) is not None

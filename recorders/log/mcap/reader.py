@@ -12,12 +12,15 @@ import zlib
 from collections.abc import Collection, Iterator
 from typing import BinaryIO, Final, NamedTuple
 
+import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
+from mapreplay.errors import LogError
 from mapreplay.recorders.log.limits import (
     MAX_CHUNK_BYTES,
     MAX_MESSAGES_A_CHUNK,
@@ -29,6 +32,21 @@ from mapreplay.recorders.log.limits import (
 from mapreplay.recorders.log.messages import Topic
 from mapreplay.recorders.log.schemas import MESSAGE_ENCODING
 
+DAMAGE: Final = (
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    McapError,
+    MemoryError,
+    RecursionError,
+    RuntimeError,
+    struct.error,
+    TypeError,
+    ValueError,
+    zstandard.ZstdError,
+)
+"""What the libraries raise when bytes are not what they should be."""
+
 _PREFIX: Final = struct.Struct("<BQ")
 _MESSAGE: Final = struct.Struct("<HIQQ")
 
@@ -38,6 +56,32 @@ class Record(NamedTuple):
 
     opcode: int
     body: bytes
+
+
+class Place(NamedTuple):
+    """Where a record stands in the file."""
+
+    opcode: int
+    offset: int
+    """Of its first byte."""
+    length: int
+    """Of all of it, in bytes."""
+
+    @property
+    def end(self) -> int:
+        """Where the next record begins."""
+        return self.offset + self.length
+
+
+class Block(NamedTuple):
+    """A stretch of the file with messages: a chunk, or records that are in no chunk."""
+
+    first: int
+    """The first step that it has messages of."""
+    last: int
+    offset: int
+    length: int
+    is_chunk: bool = True
 
 
 def is_mcap(file: BinaryIO) -> bool:
@@ -68,6 +112,58 @@ def read_records(
             yield Record(opcode, file.read(length))
         if opcode == Opcode.FOOTER:
             return
+
+
+def places(file: BinaryIO, offset: int, size: int) -> Iterator[Place]:
+    """Where the complete records from `offset` on stand, in a file of `size` bytes.
+
+    They end with the footer, before a record that the file cuts off, and before what cannot
+    begin a record: zeros, or the magic of another MCAP file.
+    """
+    while offset + _PREFIX.size <= size:
+        file.seek(offset)
+        head = file.read(_PREFIX.size)
+        opcode, length = _PREFIX.unpack(head)
+        place = Place(opcode, offset, _PREFIX.size + length)
+        if opcode == 0 or head.startswith(MCAP0_MAGIC) or place.end > size:
+            return
+        yield place
+        if opcode == Opcode.FOOTER:
+            return
+        offset = place.end
+
+
+def body_of(file: BinaryIO, place: Place) -> bytes:
+    """The body of the record at `place`.
+
+    Raises:
+        ValueError: it is larger than a record of ours may be, or is no longer there.
+    """
+    length = place.length - _PREFIX.size
+    check_size("a record", length, MAX_CHUNK_BYTES)
+    file.seek(place.offset + _PREFIX.size)
+    body = file.read(length)
+    if len(body) < length:
+        raise ValueError(f"the record at byte {place.offset} is cut off")
+    return body
+
+
+def read_block(file: BinaryIO, block: Block) -> bytes:
+    """The records of a block.
+
+    Raises:
+        ValueError, LogError, McapError, struct.error, OSError: see `read_chunk`.
+    """
+    check_size("a record", block.length, MAX_CHUNK_BYTES)
+    file.seek(block.offset)
+    data = file.read(block.length)
+    if len(data) < block.length:
+        raise ValueError(f"the record at byte {block.offset} is cut off")
+    if not block.is_chunk:
+        return data
+    if data[0] != Opcode.CHUNK:
+        raise ValueError(f"no chunk at byte {block.offset}")
+    return read_chunk(data[_PREFIX.size :])
 
 
 def read_record(file: BinaryIO, offset: int, opcode: Opcode) -> bytes:
@@ -102,25 +198,55 @@ def read_attachment(body: bytes) -> Attachment:
 
 
 def read_chunk(body: bytes) -> bytes:
-    """The records in a chunk record, whose CRC is right.
+    """The records in a chunk record, whose CRC is right if it has one.
 
     Raises:
-        ValueError: it is not, the chunk claims an absurd size, or it is not compressed with
-            zstd.
+        ValueError, RuntimeError: the CRC or the size is not right, or the chunk claims an
+            absurd size.
         McapError, ZstdError, struct.error: the chunk is damaged.
+        LogError: it is compressed in a way that is none of MCAP's.
     """
     chunk = Chunk.read(stream(body))
-    if chunk.compression != "zstd":
-        raise ValueError(f"a chunk is compressed with {chunk.compression!r}, and not with 'zstd'")
-    # The frame says it once more, or nothing (-1); memory is allocated for what it says.
-    claimed = max(chunk.uncompressed_size, zstandard.frame_content_size(chunk.data))
-    check_size("a chunk", claimed, MAX_CHUNK_BYTES)
-    records = zstandard.ZstdDecompressor().decompress(
-        chunk.data, max_output_size=chunk.uncompressed_size
-    )
-    if zlib.crc32(records) != chunk.uncompressed_crc:
+    check_size("a chunk", chunk.uncompressed_size, MAX_CHUNK_BYTES)
+    try:
+        unpack_with = _DECOMPRESSORS[chunk.compression]
+    except KeyError:
+        raise LogError(
+            f"a chunk is compressed with {chunk.compression!r}, which cannot be read here; "
+            "repack the file with zstd"
+        ) from None
+    records = unpack_with(chunk.data, chunk.uncompressed_size)
+    if len(records) != chunk.uncompressed_size:
+        raise ValueError(
+            f"a chunk of {len(records)} bytes that should have {chunk.uncompressed_size}"
+        )
+    # 0 means that whoever wrote the chunk did not compute it.
+    if chunk.uncompressed_crc and zlib.crc32(records) != chunk.uncompressed_crc:
         raise ValueError("the checksum of a chunk does not match")
     return records
+
+
+def _from_zstd(data: bytes, size: int) -> bytes:
+    # The frame says it once more, or nothing (-1); memory is allocated for what it says.
+    check_size("a chunk", zstandard.frame_content_size(data), MAX_CHUNK_BYTES)
+    return zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
+
+
+def _from_lz4(data: bytes, size: int) -> bytes:
+    unpacker = lz4.frame.LZ4FrameDecompressor()
+    # What the frame says of its size is not looked at. One byte more, so that too much is seen.
+    records = bytes(unpacker.decompress(data, max_length=size + 1))
+    if not unpacker.eof:
+        raise ValueError("a chunk with more bytes than it should have, or cut off")
+    return records
+
+
+def _as_it_is(data: bytes, _: int) -> bytes:
+    return data
+
+
+_DECOMPRESSORS: Final = {"zstd": _from_zstd, "lz4": _from_lz4, "": _as_it_is}
+"""The three compressions of MCAP."""
 
 
 class Channels:
@@ -129,6 +255,10 @@ class Channels:
     def __init__(self) -> None:
         self.topics: dict[int, str] = {}
         """Those that can be read."""
+        self.names: set[str] = set()
+        """All topics, also those that cannot be read."""
+        self.encodings: set[str] = set()
+        """Of their messages."""
         self._foreign: dict[int, str] = {}
         self._types: dict[int, str] = {}
 
@@ -152,6 +282,9 @@ class Channels:
         """
         channel = Channel.read(stream(body))
         check_count("channels", len(self.topics) + len(self._foreign), MAX_NAMES)
+        check_count("topics", len(self.names), MAX_NAMES)
+        self.names.add(channel.topic)
+        self.encodings.add(channel.message_encoding)
         found = f"{self._types.get(channel.schema_id)} as {channel.message_encoding}"
         if channel.topic in frozenset(Topic):
             expected = f"{Topic(channel.topic).type_name} as {MESSAGE_ENCODING}"
@@ -164,20 +297,22 @@ class Channels:
         """The topic of a channel.
 
         Raises:
-            ValueError: it was never declared, or is one of ours with a type that is not.
+            ValueError: it was never declared.
+            LogError: it is one of ours with a type that is not.
         """
         try:
             return self.topics[number]
         except KeyError:
-            reason = "a message is on a channel that was never declared"
-            raise ValueError(self._foreign.get(number, reason)) from None
+            if number in self._foreign:
+                raise LogError(self._foreign[number]) from None
+            raise ValueError("a message is on a channel that was never declared") from None
 
 
 class Unpacked(NamedTuple):
-    """A message, the topic and the step that it is of, and the time at which it is logged."""
+    """A message, its topic and sequence number, and the time at which it is logged."""
 
     topic: str
-    step: int
+    sequence: int
     data: memoryview
     log_time: int
 
@@ -193,8 +328,9 @@ def unpack(
         wanted: Other topics are skipped; None stands for all.
 
     Raises:
-        ValueError: a message is on a channel that cannot be read, a record is longer than
+        ValueError: a message is on a channel that was never declared, a record is longer than
             the chunk, or there are more messages than a chunk may have.
+        LogError: a message is on one of our topics, but of another type.
         struct.error: a record is cut off.
     """
     view, position, count = memoryview(records), 0, 0
