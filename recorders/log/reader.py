@@ -37,7 +37,6 @@ from mapreplay.recorders.log.mcap.index import Index, read_index, tail_of
 from mapreplay.recorders.log.mcap.reader import (
     DAMAGE,
     Block,
-    Channels,
     is_mcap,
     read_attachment,
     read_block,
@@ -352,7 +351,9 @@ class EpisodeLog:
 
     def _read_header(self, file: BinaryIO, pairs: Pairs, found: Survey | None) -> EpisodeHeader:
         block = found.truth if found else self._blocks[0]  # where the writer puts it
-        for message in unpack(read_block(file, block), Channels(), {Topic.TRUTH}) if block else ():
+        if block is None:
+            raise self._without_truth()
+        for message in unpack(read_block(file, block), self._channels, {Topic.TRUTH}):
             resolution = float(pairs["resolution"])
             plan = decode_truth(message.data, pairs["floor_plan_id"], resolution)
             return header_of(pairs, plan)

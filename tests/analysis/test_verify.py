@@ -497,7 +497,7 @@ def test_the_summary_and_the_attachment(
         lying.setattr(table, "row_of", lambda step: (*row_of(step)[:-1], float(step.index == 4)))
         lying.setattr(
             "mapreplay.recorders.log.writer.outcome_pairs",
-            lambda summary: outcome_pairs(replace(summary, correct_time=17)),
+            lambda summary, _: outcome_pairs(replace(summary, correct_time=17)),
         )
         log = write(tmp_path, true.header, true.steps)
     found = verify(log).differences

@@ -1,27 +1,27 @@
 """Logs that were cut or damaged become finished files, and what is missing is told."""
 
+import random
+import struct
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
+from mcap.opcode import Opcode
 
 from mapreplay.errors import ExistsError, LogError
 from mapreplay.recorders.log import recover as recovering
+from mapreplay.recorders.log.mcap.reader import read_records
 from mapreplay.recorders.log.reader import EpisodeLog
-from mapreplay.recorders.log.recover import recover
+from mapreplay.recorders.log.recover import Recovered, recover
 from mapreplay.recorders.log.writer import EpisodeWriter
-from mapreplay.step import differences
+from mapreplay.step import Outcome, differences
 from recordings import Recorded
+from repack import Tool, read
 
 
 @pytest.fixture
 def part(tmp_path: Path) -> Path:
     return tmp_path / "a.mcap.part"
-
-
-def assert_steps(log: EpisodeLog, recorded: Recorded, count: int) -> None:
-    assert len(log) == log.table().height == count
-    for read, written in zip(log, recorded.steps[:count], strict=True):
-        assert differences(read, written) == []
 
 
 def test_a_log_that_lost_only_its_index_becomes_the_undisturbed_file(
@@ -52,24 +52,213 @@ def test_what_was_cut_off_stays_unknown(unfinished: Recorded) -> None:
     assert recover(saved.path) is None  # it is as good as it gets
 
 
-def test_a_damaged_chunk_is_named_and_what_is_before_it_is_saved(
+class Chunk(NamedTuple):
+    """Where a chunk record stands in a file."""
+
+    start: int
+    end: int
+
+
+def chunks_of(path: Path) -> list[Chunk]:
+    """Those of a log: the first has the true map, the others 20 steps each."""
+    whole = path.read_bytes()
+    with path.open("rb") as file:
+        bodies = [record.body for record in read_records(file) if record.opcode == Opcode.CHUNK]
+    starts = [whole.index(body) - 9 for body in bodies]
+    return [Chunk(s, s + 9 + len(body)) for s, body in zip(starts, bodies, strict=True)]
+
+
+def saved_of(path: Path, content: bytes) -> tuple[Recovered, EpisodeLog]:
+    """What is recovered of a file with that content, which stays as it is."""
+    path.write_bytes(content)
+    saved = recover(path, force=True)
+    assert saved is not None
+    assert path.read_bytes() == content
+    return saved, EpisodeLog(saved.path)
+
+
+def assert_saved(log: EpisodeLog, recorded: Recorded, numbers: list[int]) -> None:
+    """Exactly these steps, under their numbers, in every way of reading."""
+    assert list(log.indices) == numbers == log.table()["step"].to_list()
+    assert len(log) == len(numbers) == log.state.steps
+    for step, number in zip(log, numbers, strict=True):
+        assert step.index == number
+        assert differences(step, recorded.steps[number]) == []
+        assert differences(log[number], recorded.steps[number]) == []
+
+
+@pytest.mark.parametrize("ending", ["index", "no index"])
+@pytest.mark.parametrize(
+    ("bad", "lost", "words"),
+    [
+        ([2], [*range(20, 40)], "20 to 39"),
+        ([2, 3], [*range(20, 60)], "20 to 59"),
+        ([3], [*range(40, 60)], "40 to 59"),
+    ],
+)
+def test_what_lies_behind_a_damaged_chunk_is_saved_too(
+    blurred: Recorded, tmp_path: Path, ending: str, bad: list[int], lost: list[int], words: str
+) -> None:
+    whole, chunks = bytearray(blurred.path.read_bytes()), chunks_of(blurred.path)
+    for number in bad:
+        whole[(chunks[number].start + chunks[number].end) // 2] ^= 1
+    content = bytes(whole if ending == "index" else whole[: chunks[-1].end])
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    with pytest.raises(LogError, match=r"a\.mcap: damaged \(.*\); .*: mapreplay recover /"):
+        EpisodeLog(path)
+    saved, log = saved_of(path, content)
+    assert saved.path == tmp_path / "a.recovered.mcap"
+    kept = [k for k in range(61) if k not in lost]
+    assert (saved.steps, saved.last, saved.outcome) == (len(kept), 60, Outcome.OUT_OF_STEPS)
+    assert len(saved.damages) == len(bad)
+    assert_saved(log, blurred, kept)
+    assert not log.finished
+    assert log.outcome is None
+    assert str(log.state) == f"steps {words} are missing; {len(kept)} steps can be read"
+    assert recover(saved.path) is None  # it is as good as it gets
+    with pytest.raises(LogError, match=rf"steps {words} are missing"):
+        log[lost[0]]
+    with pytest.raises(IndexError):
+        log[61]
+
+
+def test_the_first_and_the_last_steps_may_be_what_is_lost(
     blurred: Recorded, tmp_path: Path
 ) -> None:
-    path, whole = tmp_path / "a.mcap", bytearray(blurred.path.read_bytes())
-    with EpisodeWriter(tmp_path / "b.mcap", blurred.header, profile=True) as writer:
-        for step in blurred.steps[:20]:
-            writer.write(step)
-    whole[writer.part.stat().st_size + 2000] ^= 1  # somewhere in the chunk of steps 20 to 39
-    path.write_bytes(whole)
-    with pytest.raises(LogError, match="checksum"):
+    """The channels, which the first chunk declares, are in the index, too."""
+    whole, chunks = blurred.path.read_bytes(), chunks_of(blurred.path)
+    for number, kept in ((1, [*range(20, 61)]), (4, [*range(60)])):
+        damaged = bytearray(whole)
+        damaged[chunks[number].start + 200] ^= 1
+        saved, log = saved_of(tmp_path / "a.mcap", bytes(damaged))
+        assert_saved(log, blurred, kept)
+        assert (saved.last, saved.whole) == (kept[-1], False)
+    assert "all after" not in str(log.state)
+    assert str(log.state) == "recovered; 60 steps can be read"
+
+
+@pytest.mark.parametrize("ending", ["index", "no index"])
+@pytest.mark.parametrize("length", [0, 1, 50, 1 << 20, 1 << 60], ids=str)
+def test_a_wrong_length_of_a_record_costs_nothing(
+    blurred: Recorded, tmp_path: Path, ending: str, length: int
+) -> None:
+    """A chunk says in itself how long it is."""
+    whole, chunks = bytearray(blurred.path.read_bytes()), chunks_of(blurred.path)
+    struct.pack_into("<Q", whole, chunks[2].start + 1, length)
+    content = bytes(whole if ending == "index" else whole[: chunks[-1].end])
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    with pytest.raises(LogError, match="damaged"):
         EpisodeLog(path)
-    saved = recover(path)
-    assert saved is not None
-    assert saved.path == tmp_path / "a.recovered.mcap"
-    assert saved.damage is not None
-    assert saved.damage.startswith(f"{path}: damaged (")
-    assert_steps(EpisodeLog(saved.path), blurred, 20)
-    assert path.read_bytes() == bytes(whole)
+    _, log = saved_of(path, content)
+    assert_saved(log, blurred, [*range(61)])
+    assert log.path.read_bytes() == blurred.path.read_bytes()
+
+
+def test_rubbish_between_records_costs_nothing(blurred: Recorded, tmp_path: Path) -> None:
+    whole, chunks = blurred.path.read_bytes(), chunks_of(blurred.path)
+    rubbish = random.Random(1).randbytes(3000)
+    for at in (chunks[1].start, chunks[2].end):
+        content = whole[:at] + rubbish + whole[at:]
+        _, log = saved_of(tmp_path / "a.mcap", content)
+        assert_saved(log, blurred, [*range(61)])
+        cut = content[: chunks[3].end + len(rubbish)]
+        _, log = saved_of(tmp_path / "a.mcap", cut)
+        assert_saved(log, blurred, [*range(60)])
+
+
+@pytest.mark.parametrize("place", range(9, 40, 3))
+def test_a_damaged_beginning_costs_nothing(blurred: Recorded, tmp_path: Path, place: int) -> None:
+    """The header of the file says nothing that is needed."""
+    whole = bytearray(blurred.path.read_bytes())
+    whole[place] ^= 0x41
+    _, log = saved_of(tmp_path / "a.mcap", bytes(whole))
+    assert_saved(log, blurred, [*range(61)])
+
+
+def test_a_damaged_prefix_of_the_metadata_costs_nothing(blurred: Recorded, tmp_path: Path) -> None:
+    whole = bytearray(blurred.path.read_bytes())
+    place = whole.index(b"mapreplay.episode") - 4 - 9
+    assert whole[place] == Opcode.METADATA
+    for damage in (0, 3):
+        damaged = bytearray(whole)
+        damaged[place + damage] ^= 0x55
+        _, log = saved_of(tmp_path / "a.mcap", bytes(damaged))
+        assert_saved(log, blurred, [*range(61)])
+
+
+def test_what_nothing_can_be_saved_without_is_named(blurred: Recorded, tmp_path: Path) -> None:
+    path, whole = tmp_path / "a.mcap", bytearray(blurred.path.read_bytes())
+    truth = chunks_of(blurred.path)[0]
+    for place, line in (
+        (truth.end - 20, "its true map is damaged; nothing can be saved without it"),
+        (whole.index(b'"seed":') + 7, "checksum of mapreplay.episode does not match"),
+    ):
+        damaged = bytearray(whole)
+        damaged[place] ^= 1
+        path.write_bytes(damaged)
+        with pytest.raises(LogError, match=line) as caught:
+            recover(path)
+        assert "mapreplay recover" not in str(caught.value)
+        assert [file.name for file in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_messages_without_chunks_are_saved_behind_damage(blurred: Recorded, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    unchunked = {"use_chunking": False, "enable_data_crcs": True}
+    Tool(options=unchunked).write(read(blurred.path), path)
+    whole = bytearray(path.read_bytes())
+    place = len(whole) // 2
+    whole[place : place + 3000] = bytes(3000)
+    saved, log = saved_of(path, bytes(whole))
+    (gap,) = saved.missing
+    assert 20 < gap.start < 40
+    assert len(gap) <= 2
+    assert len(log) == 61 - len(gap)
+    for step in log:
+        assert differences(step, blurred.steps[step.index]) == []
+
+
+@pytest.mark.parametrize(
+    ("behind", "what"),
+    [
+        (b"x", "1 byte follows the end of the log and was not read"),
+        (bytes(5000), "5000 bytes follow the end of the log (nothing but zeros) and were not read"),
+        (b"another log", None),
+        (b"the half of one", None),
+    ],
+    ids=["a byte", "zeros", "another log", "half a log"],
+)
+def test_what_lies_behind_the_end_is_told(
+    blurred: Recorded, tmp_path: Path, behind: bytes, what: str | None
+) -> None:
+    whole = blurred.path.read_bytes()
+    if what is None:
+        behind = whole if behind == b"another log" else whole[: len(whole) // 2]
+        size = len(behind)
+        what = f"{size} bytes follow the end of the log (another MCAP file) and were not read"
+    path = tmp_path / "a.mcap"
+    path.write_bytes(whole + behind)
+    log = EpisodeLog(path)
+    assert str(log.state) == what
+    assert log.outcome is Outcome.OUT_OF_STEPS
+    assert log.finished
+    assert not log.state.whole
+    assert [differences(a, b) for a, b in zip(log, blurred.steps, strict=True)] == [[]] * 61
+    saved, clean = saved_of(path, whole + behind)
+    assert str(saved.tail) == what
+    assert clean.path.read_bytes() == whole
+
+
+def test_another_file_behind_one_that_is_cut_off_is_not_mixed_in(
+    blurred: Recorded, tmp_path: Path
+) -> None:
+    whole, chunks = blurred.path.read_bytes(), chunks_of(blurred.path)
+    for cut in (chunks[2].end, chunks[3].start + 500):
+        saved, log = saved_of(tmp_path / "a.mcap", whole[:cut] + whole)
+        assert list(log.indices) == [*range(40)]
+        assert saved.outcome is None
 
 
 def test_where_not_even_a_step_is_left_nothing_is_written(blurred: Recorded, part: Path) -> None:
