@@ -10,7 +10,8 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-from numba import njit
+
+from mapreplay.compiled import njit
 
 SQRT2: Final = float(np.sqrt(2.0))
 
@@ -23,7 +24,7 @@ MOVES: Final = np.array(
 UNREACHED: Final = -1
 
 
-@njit(cache=True)
+@njit
 def cast_rays(blocked: Any, row: int, col: int, offsets: Any, hits: Any) -> None:
     """hits[i] = the k of the first blocked cell on ray i, or 0 if there is none in the grid.
 
@@ -43,7 +44,7 @@ def cast_rays(blocked: Any, row: int, col: int, offsets: Any, hits: Any) -> None
                 break
 
 
-@njit(cache=True)
+@njit
 def mark_rays(observed: Any, row: int, col: int, offsets: Any, hits: Any) -> None:
     """Write what the rays saw into `observed` (int8[H, W]): free up to the hit, then occupied."""
     height, width = observed.shape
@@ -59,7 +60,7 @@ def mark_rays(observed: Any, row: int, col: int, offsets: Any, hits: Any) -> Non
             observed[r, c] = 100 if k + 1 == hit else 0
 
 
-@njit(cache=True)
+@njit
 def shortest_paths(grid: Any, row: int, col: int, straight: Any, diagonal: Any) -> None:
     """Dijkstra from (row, col) over the cells of `grid` (int8[H, W]) that are 0; 8-connected.
 
@@ -133,7 +134,7 @@ def shortest_paths(grid: Any, row: int, col: int, straight: Any, diagonal: Any) 
             diagonal[r, c] = d_of[base + c]
 
 
-@njit(cache=True)
+@njit
 def costs_at(straight: Any, diagonal: Any, cells: Any) -> Any:
     """float64[n]: straight + diagonal * sqrt 2 at each of `cells` (int32[n, 2])."""
     costs = np.empty(cells.shape[0], np.float64)
@@ -143,7 +144,7 @@ def costs_at(straight: Any, diagonal: Any, cells: Any) -> Any:
     return costs
 
 
-@njit(cache=True)
+@njit
 def walk_back(straight: Any, diagonal: Any, row: int, col: int, moves: Any) -> Any:
     """The path that `shortest_paths` found to (row, col): int32[n, 2] from source to target.
 
@@ -170,7 +171,7 @@ def walk_back(straight: Any, diagonal: Any, row: int, col: int, moves: Any) -> A
     return path
 
 
-@njit(cache=True)
+@njit
 def touching_unknown(straight: Any, built: Any, neighbours: int, moves: Any) -> Any:
     """int32[n, 2], row-major: cells with straight >= 0 that touch a -1 cell of `built`.
 
@@ -196,7 +197,7 @@ def touching_unknown(straight: Any, built: Any, neighbours: int, moves: Any) -> 
     return cells[:n].copy()
 
 
-@njit(cache=True)
+@njit
 def view_gains(
     grid: Any, uncertainty: Any, cells: Any, offsets: Any, seen: Any, gains: Any
 ) -> None:
@@ -226,7 +227,7 @@ def view_gains(
         gains[i] = total
 
 
-@njit(cache=True)
+@njit
 def tally(grid: Any, truth: Any, region: Any, counts: Any) -> None:
     """counts[g, t] = cells of `region` (bool[H, W]) where the map says g and the truth t.
 
@@ -241,7 +242,7 @@ def tally(grid: Any, truth: Any, region: Any, counts: Any) -> None:
                 counts[0 if g < 0 else 1 if g == 0 else 2, 0 if t < 0 else 1 if t == 0 else 2] += 1
 
 
-@njit(cache=True)
+@njit
 def gather_levels(level: Any, truth: Any, region: Any, codes: Any) -> int:
     """codes[i] = 2 * level, plus 1 where the truth is occupied, of the i-th cell of `region`.
 
@@ -257,7 +258,7 @@ def gather_levels(level: Any, truth: Any, region: Any, codes: Any) -> int:
     return n
 
 
-@njit(cache=True)
+@njit
 def flood(grid: Any, row: int, col: int, reached: Any, stack: Any, moves: Any) -> int:
     """Mark in `reached` (bool[H, W], False before) the 0 cells connected to (row, col).
 
@@ -288,7 +289,7 @@ def flood(grid: Any, row: int, col: int, reached: Any, stack: Any, moves: Any) -
     return count
 
 
-@njit(cache=True)
+@njit
 def wander(truth: Any, row: int, col: int, offsets: Any, raws: Any, observed: Any) -> None:
     """A random tree of walks, observing at every cell passed; writes int8[H, W] `observed`.
 

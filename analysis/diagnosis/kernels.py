@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from mapreplay.compiled import njit
 
 
-@njit(cache=True)
+@njit
 def touches_unknown(grid: Any, r: int, c: int) -> bool:
     """Whether one of the eight neighbours of (r, c) is -1."""
     height, width = grid.shape
@@ -20,7 +21,7 @@ def touches_unknown(grid: Any, r: int, c: int) -> bool:
     return False
 
 
-@njit(cache=True)
+@njit
 def nearest_edge(
     grid: Any, row: int, col: int, seen: Any, mark: int, before: Any, queue: Any
 ) -> int:
@@ -54,7 +55,7 @@ def nearest_edge(
     return -1
 
 
-@njit(cache=True)
+@njit
 def zero_one(cost: Any, starts: Any, dist: Any) -> None:
     """Least sum of `cost` over the cells of a path from one of `starts`, both ends included.
 
@@ -98,7 +99,7 @@ def zero_one(cost: Any, starts: Any, dist: Any) -> None:
                         tail += 1
 
 
-@njit(cache=True)
+@njit
 def fewest_moves(allowed: Any, cost: Any, dist: Any, row: int, col: int, goals: Any) -> Any:
     """int32[n, 2]: of the paths of least cost to a goal, one with the fewest moves.
 
@@ -139,7 +140,7 @@ def fewest_moves(allowed: Any, cost: Any, dist: Any, row: int, col: int, goals: 
     return path
 
 
-@njit(cache=True)
+@njit
 def has_two_ways(grid: Any, row: int, col: int) -> bool:
     """Whether two paths over 0 cells, with no cell but (row, col) in common, lead from it to
     cells that touch a -1; also if it touches one itself. There is one path at least.
@@ -201,7 +202,7 @@ def has_two_ways(grid: Any, row: int, col: int) -> bool:
     return False
 
 
-@njit(cache=True)
+@njit
 def first_view(truth: Any, cells: Any, offsets: Any, wanted: Any) -> int:
     """The number of the first of `cells` (int32[n, 2]) from which the sensor marks a cell of
     `wanted` (bool[H, W]); -1 if there is none. What is not 0 in `truth` stops a ray.

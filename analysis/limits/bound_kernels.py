@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from mapreplay.analysis.limits.kernels import distances
+from mapreplay.compiled import njit
 
 
-@njit(cache=True)
+@njit
 def view_distances(moves: Any, seers: Any, seer_start: Any, chosen: Any, out: Any) -> None:
     """out[i, c] = moves from place c to where the cell chosen[i] is seen from, at most 255.
 
@@ -26,7 +26,7 @@ def view_distances(moves: Any, seers: Any, seer_start: Any, chosen: Any, out: An
             out[i, c] = far[c]
 
 
-@njit(cache=True)
+@njit
 def add_up(distance: Any, block: Any, radii: Any, edges: Any, height: Any, use: Any) -> None:
     """Of each block of cells and each radius, the sum of their truncated distances.
 
@@ -52,7 +52,7 @@ def add_up(distance: Any, block: Any, radii: Any, edges: Any, height: Any, use: 
                         use[e, b, k] += 1.0
 
 
-@njit(cache=True)
+@njit
 def guaranteed(distance: Any, block: Any, table: Any, start: int, spare: int, more: Any) -> float:
     """The least over all ends c of more[c] + the potentials there and at the start, the `spare`
     dearest cells left out.
@@ -77,7 +77,7 @@ def guaranteed(distance: Any, block: Any, table: Any, start: int, spare: int, mo
     return least
 
 
-@njit(cache=True)
+@njit
 def privacy(view_start: Any, view: Any, away: Any, out: Any) -> None:
     """out[x] = the largest of `away` (int32[F]) over the places from which cell x is seen.
 

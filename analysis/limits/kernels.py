@@ -10,12 +10,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from mapreplay.compiled import njit
 
 FAR = np.iinfo(np.int32).max
 
 
-@njit(cache=True)
+@njit
 def find_views(
     blocked: Any, places: Any, number: Any, offsets: Any, within: int, start: Any, seen: Any
 ) -> int:
@@ -57,7 +58,7 @@ def find_views(
     return n
 
 
-@njit(cache=True)
+@njit
 def distances(moves: Any, sources: Any, limit: int, out: Any, queue: Any) -> None:
     """out[c] = moves from the nearest of `sources` (int32[n]) to each place, at most `limit`.
 
@@ -86,7 +87,7 @@ def distances(moves: Any, sources: Any, limit: int, out: Any, queue: Any) -> Non
                 tail += 1
 
 
-@njit(cache=True)
+@njit
 def draw(state: Any, n: int) -> Any:
     """A number in 0..n-1 (splitmix64, Steele et al. 2014). state: uint64[1], advanced."""
     state[0] += np.uint64(0x9E3779B97F4A7C15)
@@ -97,7 +98,7 @@ def draw(state: Any, n: int) -> Any:
     return np.int64((z >> np.uint64(11)) % np.uint64(n))
 
 
-@njit(cache=True)
+@njit
 def row_to(place: int, moves: Any, rows: Any, row_of: Any, queue: Any, used: Any) -> Any:
     """Which of `rows` holds the distances to `place`; computed if none did.
 
@@ -116,7 +117,7 @@ def row_to(place: int, moves: Any, rows: Any, row_of: Any, queue: Any, used: Any
     return row_of[place]
 
 
-@njit(cache=True)
+@njit
 def follow(
     stops: Any,
     count: int,
@@ -173,7 +174,7 @@ def follow(
     return length, new, count - 1
 
 
-@njit(cache=True)
+@njit
 def add_stop(
     stops: Any,
     count: int,
@@ -246,7 +247,7 @@ def add_stop(
     return count + 1
 
 
-@njit(cache=True)
+@njit
 def remove_some(stops: Any, count: int, rows: Any, row_of: Any, state: Any) -> int:
     """Take stops out: a stretch of the tour, some at random, or those near to one of them.
 
@@ -277,7 +278,7 @@ def remove_some(stops: Any, count: int, rows: Any, row_of: Any, state: Any) -> i
     return left
 
 
-@njit(cache=True)
+@njit
 def turn_round(stops: Any, first: int, last: int) -> None:
     """Reverse the stretch from stop `first` to stop `last`."""
     while first < last:
@@ -286,7 +287,7 @@ def turn_round(stops: Any, first: int, last: int) -> None:
         last -= 1
 
 
-@njit(cache=True)
+@njit
 def improve(
     stops: Any,
     count: int,
@@ -420,7 +421,7 @@ def improve(
     return best, l_best
 
 
-@njit(cache=True)
+@njit
 def trace(
     stops: Any, count: int, before: Any, needed: int, moves: Any, start: Any, seen: Any
 ) -> Any:

@@ -9,10 +9,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from mapreplay.compiled import njit
 
 
-@njit(cache=True)
+@njit
 def chessboard_distance(grid: Any, distance: Any) -> None:
     """distance[r, c] = chessboard distance to the nearest cell of `grid` (int8[H, W]) that is
     not -1; the larger side of the map where there is none. int32[H, W], written.
@@ -51,7 +52,7 @@ def chessboard_distance(grid: Any, distance: Any) -> None:
             distance[r, c] = d
 
 
-@njit(cache=True)
+@njit
 def count_levels(
     level: Any, truth: Any, observed: Any, region: Any, distance: Any, group_of: Any, counts: Any
 ) -> None:
@@ -69,7 +70,7 @@ def count_levels(
                 counts[group_of[distance[r, c]], wall, level[r, c]] += 1
 
 
-@njit(cache=True)
+@njit
 def prediction_change(before: Any, now: Any, observed: Any, region: Any, top: float) -> Any:
     """How a prediction changed on the unobserved cells of `region`.
 
@@ -91,7 +92,7 @@ def prediction_change(before: Any, now: Any, observed: Any, region: Any, top: fl
     return cells, total / top, flips
 
 
-@njit(cache=True)
+@njit
 def has_way_on(
     level: Any, observed: Any, row: int, col: int, free: Any, occupied: Any, seen: Any, stack: Any
 ) -> bool:
@@ -127,7 +128,7 @@ def has_way_on(
     return False
 
 
-@njit(cache=True)
+@njit
 def sealed_thresholds(
     level: Any, observed: Any, row: int, col: int, free: Any, occupied: Any, sealed: Any
 ) -> None:

@@ -9,15 +9,15 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-from numba import njit
 
+from mapreplay.compiled import njit
 from mapreplay.kernels import MOVES, walk_back
 
 FAINT: Final = 0.02
 """A ray that gets through with less than this probability is not followed on."""
 
 
-@njit(cache=True)
+@njit
 def explorable_chance(build_map: Any, observed: Any, p_wall: Any, chance: Any) -> None:
     """chance[r, c] = P(an unknown cell of `build_map` is explorable), 0 for known cells.
 
@@ -40,7 +40,7 @@ def explorable_chance(build_map: Any, observed: Any, p_wall: Any, chance: Any) -
             chance[r, c] = most
 
 
-@njit(cache=True)
+@njit
 def look(
     transparency: Any, worth: Any, row: int, col: int, offsets: Any, mark: int, seen: Any,
     visibility: Any, cells: Any,
@@ -83,7 +83,7 @@ def look(
     return total, n
 
 
-@njit(cache=True)
+@njit
 def view_gains(transparency: Any, worth: Any, targets: Any, offsets: Any, gains: Any) -> None:
     """gains[i] (float64[n], written) = what `look` expects from targets[i] (int32[n, 2])."""
     seen = np.zeros(worth.shape, np.int64)
@@ -96,7 +96,7 @@ def view_gains(transparency: Any, worth: Any, targets: Any, offsets: Any, gains:
         )  # fmt: skip
 
 
-@njit(cache=True)
+@njit
 def path_gain(
     transparency: Any, left: Any, path: Any, offsets: Any, seen: Any, visibility: Any, cells: Any,
     mark: int,
@@ -118,7 +118,7 @@ def path_gain(
     return total
 
 
-@njit(cache=True)
+@njit
 def way_gains(
     transparency: Any, worth: Any, straight: Any, diagonal: Any, targets: Any, offsets: Any,
     gains: Any,

@@ -17,9 +17,11 @@ from typing import Any, Final
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
+
+from mapreplay.compiled import njit
 
 KERNELS: Final = 25
 LANES: Final = 16
@@ -82,7 +84,7 @@ def _multiply_group(
     return signature, generate
 
 
-@njit(cache=True)
+@njit
 def _multiply(weights: Any, w: int, columns: Any, c: int, sums: Any, s: int, depth: int) -> None:
     """sums[25, 16] at s = weights[25, depth] at w, packed, times columns[depth, 16] at c."""
     for group in range(KERNELS // GROUP):
@@ -90,7 +92,7 @@ def _multiply(weights: Any, w: int, columns: Any, c: int, sums: Any, s: int, dep
         _multiply_group(weights, w_group, columns, c, sums, s_group, depth)  # type: ignore[call-arg]
 
 
-@njit(cache=True)
+@njit
 def first_layer(image: Any, weights: Any, bias: Any, out: Any) -> None:
     """ReLU(3x3 convolution) of one channel, float32[1 + H + 1, 1 + W + 1], into 25."""
     rows, cols = image.shape[0] - 2, image.shape[1] - 2
@@ -109,7 +111,7 @@ def first_layer(image: Any, weights: Any, bias: Any, out: Any) -> None:
                 target[x] = max(total, np.float32(0))
 
 
-@njit(cache=True)
+@njit
 def last_layer(hidden: Any, image: Any, weights: Any, bias: Any, logits: Any) -> None:
     """3x3 convolution of 25 channels and the input itself into logits float32[H, W]."""
     rows, cols = logits.shape
@@ -131,7 +133,7 @@ def last_layer(hidden: Any, image: Any, weights: Any, bias: Any, logits: Any) ->
                 target[x] += total
 
 
-@njit(cache=True)
+@njit
 def _tile_rows(source: Any, first: int, count: int, strips: Any) -> None:
     """B^T of Winograd's input, on the rows: source float32[6, cols], strips flat [6, 80].
 
@@ -153,7 +155,7 @@ def _tile_rows(source: Any, first: int, count: int, strips: Any) -> None:
         strips[400 + i] = four * d1[i] - five * d3[i] + d5[i]
 
 
-@njit(cache=True)
+@njit
 def _tile_cols(strips: Any, count: int, columns: Any) -> None:
     """B^T on the columns: strips flat [6, 80] to columns flat [36, 25, 16], from its start."""
     four, five, two = np.float32(4), np.float32(5), np.float32(2)
@@ -173,7 +175,7 @@ def _tile_cols(strips: Any, count: int, columns: Any) -> None:
             v[t + 5 * KERNELS * LANES] = four * d1 - five * d3 + d5
 
 
-@njit(cache=True)
+@njit
 def _untile(sums: Any, half: Any, cells: Any) -> None:
     """A^T m A of Winograd's output: sums flat [36, 25, 16] from a kernel's start to cells
     flat [4, 64], the rows of 16 tiles side by side; half: flat [24, 16], scratch.
@@ -204,7 +206,7 @@ def _untile(sums: Any, half: Any, cells: Any) -> None:
             y[4 * t + 3] = b + eight * d + m5
 
 
-@njit(cache=True)
+@njit
 def plain_layer(
     source: Any, rows: int, cols: int, weights: Any, bias: Any, out: Any, scratch: Any
 ) -> None:
@@ -250,7 +252,7 @@ def plain_layer(
                 tile += count
 
 
-@njit(cache=True)
+@njit
 def halving_layer(
     source: Any, rows: int, cols: int, weights: Any, bias: Any, out: Any, scratch: Any
 ) -> None:
@@ -289,7 +291,7 @@ def halving_layer(
                 cell += count
 
 
-@njit(cache=True)
+@njit
 def doubling_layer(
     source: Any, rows: int, cols: int, weights: Any, bias: Any, out: Any, scratch: Any
 ) -> None:

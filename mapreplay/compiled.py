@@ -1,0 +1,91 @@
+"""The decorator of all compiled kernels: numba's, whose cache may be missing, full or damaged.
+
+Compiled code is kept where numba keeps it: in ``NUMBA_CACHE_DIR``, beside the source, or in the
+user's cache folder. Where none of them can be written, kernels are compiled in memory. What is
+kept has its digest with it: machine code that is not what was written is never run.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, ClassVar, ParamSpec, TypeVar, cast
+
+import numba
+from numba.core.caching import (
+    CompileResultCacheImpl,
+    FunctionCache,
+    InTreeCacheLocator,
+    NullCache,
+    UserProvidedCacheLocator,
+    UserWideCacheLocator,
+)
+from numba.core.serialize import dumps
+
+Arguments = ParamSpec("Arguments")
+Value = TypeVar("Value")
+
+
+def njit(kernel: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
+    """Compile `kernel`, and keep what was compiled if there is a place for it."""
+    compiled: Any = numba.njit(kernel)
+    compiled._cache = _cache_of(kernel)  # noqa: SLF001 (as its `enable_caching` does)
+    return cast("Callable[Arguments, Value]", compiled)
+
+
+def _cache_of(kernel: Callable[..., object]) -> Any:
+    try:
+        return _Cache(kernel)
+    except (OSError, RuntimeError):  # RuntimeError: no folder can be written
+        return NullCache()
+
+
+class _UsersFolder(UserWideCacheLocator):
+    """The user's cache folder, of users who have one: numba would make a folder called ``~``."""
+
+    @classmethod
+    def from_function(cls, kernel: Any, file: str) -> Any:
+        known = Path.home().is_absolute()  # RuntimeError where there is none
+        return super().from_function(kernel, file) if known else None
+
+
+class _Sealed(CompileResultCacheImpl):
+    """What is kept of a kernel: its digest, and what numba keeps."""
+
+    _locator_classes: ClassVar = [  # type: ignore[misc] (an instance variable in name only)
+        UserProvidedCacheLocator,
+        InTreeCacheLocator,
+        _UsersFolder,
+    ]
+
+    def reduce(self, compiled: Any) -> tuple[bytes, bytes]:
+        content = dumps(super().reduce(compiled))
+        return hashlib.sha256(content).digest(), content
+
+    def rebuild(self, target_context: Any, kept: tuple[bytes, bytes]) -> Any:
+        digest, content = kept
+        if hashlib.sha256(content).digest() != digest:
+            raise ValueError("a compiled kernel is damaged")
+        return super().rebuild(target_context, pickle.loads(content))  # noqa: S301 (our own)
+
+
+class _Cache(FunctionCache):
+    """Numba's, for which a damaged file is no file, and one that cannot be written no error."""
+
+    _impl_class = _Sealed
+
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(signature, target_context)
+        except Exception:  # noqa: BLE001 (whatever damaged pickles raise)
+            with suppress(Exception):
+                self.flush()  # for `save_overload`, which reads it, too
+            return None
+
+    def save_overload(self, signature: Any, compiled: Any) -> None:
+        # What numba raises for a full disk, and for an index that cannot be read or replaced.
+        with suppress(Exception):
+            super().save_overload(signature, compiled)
