@@ -55,7 +55,8 @@ class _UsersFolder(UserWideCacheLocator):
 class _Sealed(CompileResultCacheImpl):
     """What is kept of a kernel: its digest, and what numba keeps."""
 
-    _locator_classes: ClassVar = [  # type: ignore[misc] (an instance variable in name only)
+    # An instance variable in name only:
+    _locator_classes: ClassVar = [  # type: ignore[misc]
         UserProvidedCacheLocator,
         InTreeCacheLocator,
         _UsersFolder,

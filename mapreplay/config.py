@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from bisect import bisect_left
 from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
@@ -12,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from mapreplay.errors import ConfigError
 from mapreplay.grid import Cell
+from mapreplay.identify import identify
 from mapreplay.mapping import PredictionDtype
 
 
@@ -25,6 +27,7 @@ class MapKind(StrEnum):
 MAX_SEED = 2**63 - 1
 _MAX_CONFIG_BYTES = 1 << 20
 _MAX_NAME = 512
+_MAX_SHOWN = 80
 
 Share = Annotated[float, Field(ge=0, le=1)]
 
@@ -124,7 +127,18 @@ def describe(error: ValidationError) -> str:
     if first["type"] == "extra_forbidden":
         return f"unknown key {key!r}"
     reason = first["msg"].removeprefix("Value error, ").removeprefix("Input should ")
-    return f"{key} = {first['input']!r}: should {reason.removeprefix('should ')}"
+    return f"{key} = {_shown(first['input'])}: should {reason.removeprefix('should ')}"
+
+
+def _shown(value: object) -> str:
+    """A value as it is written, or the start of it."""
+    try:
+        text = repr(value)
+    except ValueError:
+        return "a number of thousands of digits"
+    except RecursionError:
+        return "something nested too deeply"
+    return text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}..."
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -134,11 +148,51 @@ def read_toml(path: Path) -> dict[str, Any]:
         ConfigError: it cannot be read, or is not TOML.
     """
     try:
-        if path.stat().st_size > _MAX_CONFIG_BYTES:
-            raise ConfigError(f"{path}: larger than 1 MiB, not a configuration")
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
-        return {key.replace("-", "_"): value for key, value in values.items()}
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: not TOML ({error})") from None
+        with path.open("rb") as file:  # of a device there would be no end
+            content = file.read(_MAX_CONFIG_BYTES + 1)
+    except (OSError, ValueError) as error:
+        raise ConfigError(
+            f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})"
+        ) from None
+    if len(content) > _MAX_CONFIG_BYTES:
+        raise ConfigError(f"{path}: larger than 1 MiB, not a configuration")
+    try:
+        text = content.decode("utf-8-sig")  # editors on Windows begin with a byte-order mark
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        what = identify(content) or "save it as UTF-8"
+        raise ConfigError(f"{path}, line {line}: not UTF-8 text ({what})") from None
+    values: dict[str, Any] = {}
+    for key, value in _parsed(text, path).items():
+        name = key.replace("-", "_")
+        if name in values:
+            raise ConfigError(f"{path}: {key} is given twice, with - and with _")
+        values[name] = value
+    return values
+
+
+def _parsed(text: str, path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text.replace("\r\n", "\n"))
+    except tomllib.TOMLDecodeError as error:  # says where
+        raise ConfigError(f"{path}: not TOML ({identify(text.encode()) or error})") from None
+    except RecursionError as error:
+        line = _line_of(type(error), text)
+        raise ConfigError(f"{path}, line {line}: nested too deeply") from None
+    except ValueError as error:
+        line, reason = _line_of(type(error), text), str(error).partition(";")[0]
+        raise ConfigError(f"{path}, line {line}: a value that cannot be ({reason})") from None
+
+
+def _line_of(kind: type[Exception], text: str) -> int:
+    """The line of `text` with which parsing fails in this way, which does not say where."""
+
+    def fails(lines: int) -> bool:
+        try:
+            tomllib.loads("".join(all_lines[:lines]))
+        except Exception as error:  # noqa: BLE001 (also that a part of a file is none)
+            return type(error) is kind
+        return False
+
+    all_lines = text.splitlines(keepends=True)
+    return bisect_left(range(len(all_lines)), True, key=fails)  # noqa: FBT003 (what is looked for)

@@ -13,8 +13,11 @@ import stat
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Final
 
 from mapreplay.errors import ExistsError, WriteError
+
+_LONGEST_ENDING: Final = 16
 
 
 def check_new(path: Path, *, force: bool = False) -> None:
@@ -36,7 +39,7 @@ def check_new(path: Path, *, force: bool = False) -> None:
             raise WriteError(f"{path}: cannot be written (no folder {path.parent})") from None
         return
     except (OSError, ValueError) as error:
-        raise _cannot(path, error) from None
+        raise cannot_write(path, error) from None
     if stat.S_ISLNK(mode):
         raise ExistsError(f"{path}: is a link, which is never written through; name its target")
     if stat.S_ISDIR(mode):
@@ -51,22 +54,25 @@ def check_new(path: Path, *, force: bool = False) -> None:
 def whole_path(path: Path, *, force: bool = False) -> Iterator[Path]:
     """A draft to write under the name that this yields; it becomes `path` at the end of the block.
 
-    Where the block raises, nothing of the draft is left and `path` is as it was. The draft has the
-    ending of `path`, for encoders that go by it.
+    Where the block raises, nothing of the draft is left and `path` is as it was. The draft is there
+    and empty, so that a folder that cannot be written to is found before any work is done, and has
+    the ending of `path`, for encoders that go by it. What it replaces gives it its permissions.
 
     Raises:
         ExistsError: see `check_new`; also if `path` came to be meanwhile.
         WriteError: the draft could not be written or renamed; OSErrors of the block are this, too.
     """
     check_new(path, force=force)
-    draft = path.with_name(f".{secrets.token_hex(6)}.draft{path.suffix}")
+    ending = path.suffix if len(path.suffix) <= _LONGEST_ENDING else ""
+    draft = path.with_name(f".{secrets.token_hex(6)}.draft{ending}")
     try:
+        draft.open("xb").close()
         yield draft
         with draft.open("rb") as file:
             os.fsync(file.fileno())
         _publish(draft, path, force=force)
     except OSError as error:
-        raise _cannot(path, error) from None
+        raise cannot_write(path, error) from None
     finally:
         with suppress(OSError):
             draft.unlink(missing_ok=True)
@@ -79,7 +85,7 @@ def write_whole(path: Path, content: bytes | Iterable[bytes], *, force: bool = F
         ExistsError, WriteError: see `whole_path`.
     """
     blocks = [content] if isinstance(content, bytes) else content
-    with whole_path(path, force=force) as draft, draft.open("xb") as file:
+    with whole_path(path, force=force) as draft, draft.open("wb") as file:
         for block in blocks:
             file.write(block)
 
@@ -87,6 +93,8 @@ def write_whole(path: Path, content: bytes | Iterable[bytes], *, force: bool = F
 def _publish(draft: Path, path: Path, *, force: bool) -> None:
     if force:
         check_new(path, force=True)  # a link that came meanwhile would be replaced silently
+        with suppress(FileNotFoundError):
+            draft.chmod(stat.S_IMODE(path.lstat().st_mode))
         draft.replace(path)
         return
     try:
@@ -99,5 +107,21 @@ def _publish(draft: Path, path: Path, *, force: bool) -> None:
         draft.replace(path)
 
 
-def _cannot(path: Path, error: OSError | ValueError) -> WriteError:
+def make_folder(path: Path) -> None:
+    """Make the folder `path` and those above it, unless it is there.
+
+    Raises:
+        ExistsError: it, or one of those above it, is a file.
+        WriteError: it cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        raise ExistsError(f"{path}: is a file, or in one; name a folder") from None
+    except (OSError, ValueError) as error:
+        raise cannot_write(path, error) from None
+
+
+def cannot_write(path: Path, error: OSError | ValueError) -> WriteError:
+    """What is said where writing `path` failed: its name, and the system's reason."""
     return WriteError(f"{path}: cannot be written ({getattr(error, 'strerror', None) or error})")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -13,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mapreplay.errors import LogError
+from mapreplay.files import check_new, make_folder, whole_path, write_whole
 from mapreplay.grid import FREE, OCCUPIED, Grid, Quantized
 from mapreplay.mapping import dequantize
 from mapreplay.recorders.log.reader import EpisodeLog
@@ -39,19 +39,14 @@ def export_arrays(log: EpisodeLog, path: Path, *, force: bool = False) -> None:
     memory stays bounded.
 
     Raises:
-        LogError: the log is damaged, or `path` exists or cannot be written.
+        LogError: the log is damaged.
+        ExistsError, WriteError: see `mapreplay.files.whole_path`.
     """
-    _refuse_overwriting(path, force=force)
-    part = path.with_name(path.name + ".part")
-    try:
-        with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
-            _add_arrays(archive, log)
-        part.replace(path)
-    except OSError as error:
-        raise _cannot_write(path, error) from None
-    finally:
-        with suppress(OSError):  # it was never made, or has been renamed
-            part.unlink()
+    with (
+        whole_path(path, force=force) as draft,
+        zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as archive,
+    ):
+        _add_arrays(archive, log)
 
 
 def _add_arrays(archive: zipfile.ZipFile, log: EpisodeLog) -> None:
@@ -121,8 +116,9 @@ def export_images(
     dark, and a prediction in between. Returns the files.
 
     Raises:
-        LogError: there is no such step, the log is damaged, a picture would be too large, or
-            a file exists or cannot be written.
+        LogError: there is no such step, the log is damaged, or a picture would be too large.
+        ExistsError: a file is there; then none is written.
+        WriteError: a file cannot be written; each of the others is whole.
     """
     side = max(log.header.floor_plan.shape)
     if not 1 <= scale <= MAX_SIDE // side:
@@ -131,17 +127,13 @@ def export_images(
         if not 0 <= k <= log.last:
             raise LogError(f"{log.path}: no step {k}; it has steps 0 to {log.last}")
         log.check_step(k)
-    written = []
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, grey in _pictures(log, steps):
-            path = folder / f"{name}.png"
-            _refuse_overwriting(path, force=force)
-            path.write_bytes(_png(grey, scale))
-            written.append(path)
-    except OSError as error:
-        raise _cannot_write(folder, error) from None
-    return written
+    pictures = {folder / f"{name}.png": _png(grey, scale) for name, grey in _pictures(log, steps)}
+    make_folder(folder)
+    for path in pictures:
+        check_new(path, force=force)
+    for path, data in pictures.items():
+        write_whole(path, data, force=force)
+    return list(pictures)
 
 
 def _pictures(log: EpisodeLog, steps: Sequence[int]) -> Iterator[tuple[str, npt.NDArray[np.uint8]]]:
@@ -173,12 +165,3 @@ def _png(grey: npt.NDArray[np.uint8], scale: int) -> bytes:
     size = (picture.shape[1] * scale, picture.shape[0] * scale)
     _, data = cv2.imencode(".png", cv2.resize(picture, size, interpolation=cv2.INTER_NEAREST))
     return data.tobytes()
-
-
-def _refuse_overwriting(path: Path, *, force: bool) -> None:
-    if not force and path.exists():
-        raise LogError(f"{path}: exists; choose another name, or overwrite with --force")
-
-
-def _cannot_write(path: Path, error: OSError) -> LogError:
-    return LogError(f"{path}: cannot be written ({error.strerror or error})")

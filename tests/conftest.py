@@ -39,3 +39,11 @@ def cache_of_their_own(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Non
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         yield
+
+
+@pytest.fixture(autouse=True, scope="session")
+def faults_of_ours_are_seen() -> Iterator[None]:
+    """An error that nobody foresaw fails a test with its traceback, and is no exit code."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MAPREPLAY_DEBUG", "1")
+        yield

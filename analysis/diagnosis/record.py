@@ -10,7 +10,8 @@ from typing import Any, Final
 from mapreplay.analysis.diagnosis.blame import Blame
 from mapreplay.analysis.diagnosis.claims import Claims
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, Sealing
-from mapreplay.errors import LogError
+from mapreplay.errors import ExistsError
+from mapreplay.files import cannot_write, check_new, write_whole
 from mapreplay.step import Cells
 
 SCHEMA: Final = "mapreplay.diagnosis/1"
@@ -186,17 +187,21 @@ def save_beside(log: Path, record: dict[str, Any]) -> Path:
     """Write the diagnosis of `log` beside it; an older diagnosis is replaced.
 
     Raises:
-        LogError: it cannot be written, or what is there is no diagnosis.
+        ExistsError: what is there is no diagnosis.
+        WriteError: it cannot be written.
     """
     path, data = diagnosis_path(log), to_json(record)
+    check_new(path, force=True)
     try:
-        if path.exists():
-            there = path.read_bytes()
-            if there == data:
-                return path
-            if not there.startswith(b'{\n "schema": "mapreplay.diagnosis/'):
-                raise LogError(f"{path}: exists and is no diagnosis; move it away")
-        path.write_bytes(data)
+        with path.open("rb") as file:
+            there = file.read(len(data) + 1)
+    except FileNotFoundError:
+        there = None
     except OSError as error:
-        raise LogError(f"{path}: cannot be written ({error.strerror or error})") from None
+        raise cannot_write(path, error) from None
+    if there == data:
+        return path
+    if there is not None and not there.startswith(b'{\n "schema": "mapreplay.diagnosis/'):
+        raise ExistsError(f"{path}: exists and is no diagnosis; move it away")
+    write_whole(path, data, force=True)
     return path

@@ -22,6 +22,7 @@ from mapreplay.analysis.metrics.calibration import PredictionCounts, count_cells
 from mapreplay.config import EpisodeConfig, MapKind
 from mapreplay.episode import prepare_episode, run_episode
 from mapreplay.errors import MapreplayError
+from mapreplay.files import whole_path
 from mapreplay.floorplan import FloorPlan
 from mapreplay.grid import Grid, Mask
 from mapreplay.mapping import PredictionDtype, Thresholds
@@ -74,8 +75,7 @@ class CurveData:
             "plans": [plan.floor_plan for plan in self.plans],
             "distances": self.plans[0].counts.distances if self.plans else (),
         }
-        part = path.with_suffix(".part")
-        with part.open("wb") as file:
+        with whole_path(path, force=True) as draft, draft.open("wb") as file:
             np.savez_compressed(
                 file,
                 about=np.array(json.dumps(about)),
@@ -83,7 +83,6 @@ class CurveData:
                 f1=np.stack([plan.f1 for plan in self.plans]),
                 counts=np.stack([plan.counts.cells for plan in self.plans]),
             )
-        part.replace(path)
         return path
 
 

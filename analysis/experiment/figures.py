@@ -32,6 +32,7 @@ from mapreplay.analysis.metrics.calibration import (
     score_interval,
 )
 from mapreplay.analysis.stats.estimates import mean_interval
+from mapreplay.files import whole_path
 from mapreplay.recorders.pictures.layers import MapView
 from mapreplay.recorders.pictures.painter import MapPainter
 from mapreplay.recorders.pictures.palette import (
@@ -67,7 +68,8 @@ _CURVES: Final = {
 
 def save(figure: Figure, path: Path) -> Path:
     """Write a PNG: the same data give the same bytes."""
-    figure.savefig(path, dpi=150, metadata={"Software": None})
+    with whole_path(path, force=True) as draft:
+        figure.savefig(draft, format="png", dpi=150, metadata={"Software": None})
     return path
 
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 import json
 import math
 import re
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -32,6 +31,7 @@ from mapreplay.analysis.experiment.table import Arm, Summary, summarize, summary
 from mapreplay.analysis.metrics.calibration import calibration_scores, decided, reliability
 from mapreplay.analysis.stats.estimates import mean_interval
 from mapreplay.errors import MapreplayError
+from mapreplay.files import make_folder, whole_path, write_whole
 
 CAPTIONS: Final = {
     "performance": "Reduction of mapping time by dataset, planner and configuration",
@@ -94,35 +94,37 @@ def write_report(folder: Path, docs: Path | None = None, name: str = "paper") ->
 
     Raises:
         MapreplayError: there is nothing to report, a file is damaged, or `docs` has no page.
+        WriteError: a file cannot be written; each of the others is whole, or as it was.
     """
     results = read_results(folder)
     written = [folder / "results.json", folder / PAGE]
     document = json.dumps(_finite(to_json(results)), indent=1) + "\n"
-    written[0].write_text(document, encoding="utf-8")
+    write_whole(written[0], document.encode(), force=True)
     parts = blocks(results)
     pictures = folder / "figures"
-    pictures.mkdir(exist_ok=True)
+    make_folder(pictures)
     drawn = {
         kind: figures.save(figure, pictures / f"{kind}.png")
         for kind, figure in draw(results).items()
     }
     here = parts | {f"{kind}-figure": _picture(kind, f"{kind}.png") for kind in drawn}
     text = "\n\n".join(f"## {heading}\n\n{part}" for heading, part in here.items())
-    written[1].write_text(text + "\n", encoding="utf-8")
+    write_whole(written[1], f"{text}\n".encode(), force=True)
     if results.summaries:
         written.append(folder / "table.parquet")
-        summary_frame(results.summaries).write_parquet(written[-1])
+        with whole_path(written[-1], force=True) as draft, draft.open("wb") as file:
+            summary_frame(results.summaries).write_parquet(file)
     written += drawn.values()
     if docs is not None:
         there = parts | {f"{kind}-figure": _picture(kind, f"{name}-{kind}.png") for kind in drawn}
         page = update_page(docs / PAGE, {f"{name}/{part}": t for part, t in there.items()})
         written.append(page)
         shown = page.read_text(encoding="utf-8")
-        (docs / "figures").mkdir(exist_ok=True)
+        make_folder(docs / "figures")
         for kind, path in drawn.items():
             copy = docs / "figures" / f"{name}-{kind}.png"
             if f"(figures/{copy.name})" in shown:
-                shutil.copyfile(path, copy)
+                write_whole(copy, path.read_bytes(), force=True)
                 written.append(copy)
     return written
 
@@ -180,9 +182,10 @@ def update_page(page: Path, parts: Mapping[str, str]) -> Path:
             text, count = pattern.subn(lambda _, t=f"{begin}\n{part}\n{end}": t, text)  # type: ignore[misc]
             if not count:
                 raise MapreplayError(f"{page}: {begin} has no {end}")
-        page.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise MapreplayError(f"{page}: cannot be updated ({error.strerror})") from None
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise MapreplayError(f"{page}: cannot be read ({reason})") from None
+    write_whole(page, text.encode(), force=True)
     return page
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from mapreplay.errors import MapreplayError
+from mapreplay.files import cannot_write, check_new
 from mapreplay.recorders.log.lock import lock
 
 ROWS_FILE: Final = "rows.jsonl"
@@ -109,12 +110,14 @@ class RowFile:
         """Nobody else may add rows meanwhile; the lock is gone when its process is.
 
         Raises:
-            MapreplayError: somebody else has it, or the file cannot be written.
+            MapreplayError: somebody else has it.
+            ExistsError, WriteError: it is no regular file, or cannot be written.
         """
+        check_new(self.path, force=True)
         try:
             file = self.path.open("ab")
         except OSError as error:
-            raise MapreplayError(f"{self.path}: cannot be written ({error.strerror})") from None
+            raise cannot_write(self.path, error) from None
         with file:
             if not lock(file):
                 raise MapreplayError(f"{self.path}: another process is writing it")
@@ -138,4 +141,4 @@ class RowFile:
                 file.flush()
                 os.fsync(file.fileno())
         except OSError as error:
-            raise MapreplayError(f"{self.path}: cannot be written ({error.strerror})") from None
+            raise cannot_write(self.path, error) from None

@@ -6,11 +6,12 @@ completion are quick.
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import sys
 from contextlib import suppress
-from typing import Annotated, NoReturn
+from typing import Annotated, Final
 
 import typer
 
@@ -26,22 +27,35 @@ from mapreplay.cli.floorplans import floorplans
 from mapreplay.cli.info import info
 from mapreplay.cli.ls import ls
 from mapreplay.cli.metrics import metrics
+from mapreplay.cli.output import say
 from mapreplay.cli.recover import recover
 from mapreplay.cli.run import run
+from mapreplay.cli.streams import standard_streams
 from mapreplay.cli.train import train
 from mapreplay.cli.verify import verify
 from mapreplay.cli.view import view
 from mapreplay.cli.whatif import whatif
 from mapreplay.errors import MapreplayError
+from mapreplay.text import one_line
 
-INTERRUPTED = 130
+FAILED: Final = 1
+INTERRUPTED: Final = 130
+DEBUG: Final = "MAPREPLAY_DEBUG"
+"""Environment variable: if it is set, an error that nobody foresaw is shown with its traceback."""
+
+_FORMER_NAMES: Final = {"output": "out"}
+"""Options that had another name, which is still understood."""
 
 app = typer.Typer(
     name="mapreplay",
     invoke_without_command=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    context_settings={
+        "help_option_names": ["-h", "--help"],
+        "max_content_width": 100,
+        "token_normalize_func": lambda name: _FORMER_NAMES.get(name, name),
+    },
 )
 
 
@@ -49,7 +63,7 @@ def _version(wanted: bool) -> None:  # noqa: FBT001 (typer's callback)
     if wanted:
         from importlib.metadata import version
 
-        typer.echo(f"mapreplay {version('mapreplay')}")
+        say(f"mapreplay {version('mapreplay')}")
         raise typer.Exit
 
 
@@ -63,7 +77,7 @@ def _mapreplay(
 ) -> None:
     """Record, replay and analyse agents that map floor plans with a learned map predictor."""
     if context.invoked_subcommand is None:
-        typer.echo(context.get_help())
+        say(context.get_help())
 
 
 for _verb in (
@@ -76,39 +90,62 @@ app.add_typer(bench_app, name="bench")
 
 def main() -> None:
     """Entry point: every error is one line on stderr and an exit code."""
-    try:
-        _run()
-    except KeyboardInterrupt:
-        # Ctrl-C can come twice: Polars raises it, and then Python does. Once is enough.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        print("mapreplay: interrupted", file=sys.stderr)
-        with suppress(OSError):
-            sys.stdout.flush()
-        # Not sys.exit: where the interrupt passed through an exec of ours or a library's, Python
-        # remembers it as unhandled, and ends by killing itself instead of with our code.
-        os._exit(INTERRUPTED)
+    with standard_streams():
+        try:
+            code = _run()
+        except KeyboardInterrupt:
+            # Ctrl-C can come twice: Polars raises it, and then Python does. Once is enough.
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+            print("mapreplay: interrupted", file=sys.stderr)
+            with suppress(MapreplayError, OSError):
+                sys.stdout.flush()
+            # Not sys.exit: where the interrupt passed through an exec of ours or a library's,
+            # Python remembers it as unhandled, and ends by killing itself instead of our code.
+            os._exit(INTERRUPTED)
+    sys.exit(code)
 
 
-def _run() -> None:
+def _run() -> int:
+    """Run what the command line says; the exit code."""
+    # Other libraries say on stderr that they found no folder for their caches, and the like.
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
     try:
         code = app(prog_name="mapreplay", standalone_mode=False)
+        sys.stdout.flush()
     except MapreplayError as error:
-        _fail(str(error), error.exit_code)
+        return _fail(str(error), error.exit_code)
     except typer.TyperException as error:  # wrong usage
         context = getattr(error, "ctx", None)
         verb = context.command_path if context else "mapreplay"
-        _fail(f"{error.format_message()} See `{verb} --help`.", error.exit_code)
+        return _fail(f"{error.format_message()} See `{verb} --help`.", error.exit_code)
     except typer.Abort:
         raise KeyboardInterrupt from None
     except BrokenPipeError:
-        # Whoever read our output has seen enough; keep Python from complaining at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(1)
+        return FAILED  # whoever read our output has seen enough
+    except (KeyboardInterrupt, SystemExit):
+        raise
+    except BaseException as error:  # a panic of a library in Rust is no Exception
+        if os.environ.get(DEBUG):
+            raise
+        return _fail(_unexpected(error), FAILED)
     if code == INTERRUPTED:  # what typer makes of Ctrl-C
         raise KeyboardInterrupt
-    sys.exit(code if isinstance(code, int) else 0)
+    return code if isinstance(code, int) else 0
 
 
-def _fail(line: str, code: int) -> NoReturn:
-    print(f"mapreplay: {' '.join(line.split())}", file=sys.stderr)
-    sys.exit(code)
+def _unexpected(error: BaseException) -> str:
+    """What is said of an error that nobody foresaw where it arose."""
+    if isinstance(error, MemoryError):
+        return "out of memory; give it more, or less to do at a time"
+    if isinstance(error, OSError) and error.strerror:
+        where = f"{error.filename}: " if error.filename else ""
+        return f"{where}{error.strerror}"
+    return (
+        f"internal error, {type(error).__name__}: {error}; please report it, with what is printed "
+        f"if {DEBUG}=1 is set"
+    )
+
+
+def _fail(line: str, code: int) -> int:
+    print(f"mapreplay: {one_line(line)}", file=sys.stderr)
+    return code

@@ -16,11 +16,13 @@ from mapreplay.cli.output import (
     Format,
     FormatOption,
     OutputOption,
+    check_outputs,
     emit,
     note,
-    write_file,
+    say,
 )
 from mapreplay.errors import FloorPlanError, UsageError
+from mapreplay.files import write_whole
 
 if TYPE_CHECKING:
     from mapreplay.analysis.benchmarks.simulator import Worth
@@ -37,7 +39,7 @@ bench_app = typer.Typer(
 @bench_app.callback()
 def _bench(context: typer.Context) -> None:
     if context.invoked_subcommand is None:
-        typer.echo(context.get_help())
+        say(context.get_help())
 
 
 SpecOption = Annotated[
@@ -63,7 +65,7 @@ def sim(
     if form is not Format.TABLE:
         emit(pl.DataFrame(rows), "mapreplay.bench.sim/1", form)
     else:
-        typer.echo(
+        say(
             f"{median_rate(timings):.0f} steps/s, median of {len(timings)} episodes "
             f"({sum(t.steps for t in timings)} steps in {sum(t.seconds for t in timings):.1f} s)"
         )
@@ -183,6 +185,7 @@ def limits(
     Mapping times and their reduction against observed/observed Nearest Frontier. What was found
     is kept in the cache, so that a stopped run goes on.
     """
+    check_outputs(output, markdown, force=force)
     if not 0 < target <= 1:
         raise UsageError(f"--target {target}: should be above 0 and at most 1")
     from mapreplay.analysis.limits.measure import (
@@ -216,7 +219,7 @@ def limits(
     order = {plan.id: number for number, plan in enumerate(plans)}
     rows.sort(key=lambda row: order[row.floor_plan])  # whoever was done first
     if markdown is not None:
-        write_file(markdown, limits_markdown(rows).encode(), force=force)
+        write_whole(markdown, limits_markdown(rows).encode(), force=force)
         note(f"written: {markdown}")
     emit(limits_frame(rows), "mapreplay.bench.limits/1", form, output, text=limits_summary(rows),
          force=force)  # fmt: skip

@@ -29,7 +29,7 @@ def branch(
     device: Annotated[str, typer.Option(help="Where the predictor runs.")] = "cpu",
     out: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="The new log (default: beside LOG, with the change)."),
+        typer.Option("--out", "-o", help="The new log (default: beside LOG, with the change)."),
     ] = None,
     form: FormatOption = Format.TABLE,
     force: ForceOption = False,

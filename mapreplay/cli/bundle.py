@@ -8,8 +8,9 @@ from typing import Annotated
 import typer
 
 from mapreplay.cli.logs import LogArgument, end_with, open_log
-from mapreplay.cli.output import ForceOption, note, write_file
+from mapreplay.cli.output import ForceOption, check_outputs, note
 from mapreplay.errors import UsageError
+from mapreplay.files import write_whole
 
 LARGE = 2 << 20
 """Bytes that are too many to be mailed."""
@@ -18,7 +19,7 @@ LARGE = 2 << 20
 def bundle(
     log: LogArgument,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="The zip (default: beside LOG).")
+        Path | None, typer.Option("--out", "-o", help="The zip (default: beside LOG).")
     ] = None,
     until: Annotated[
         int | None, typer.Option(metavar="STEP", help="Only the steps up to this one.")
@@ -37,8 +38,9 @@ def bundle(
     path = output or opened.path.with_name(f"{name}.zip")
     if path.suffix != ".zip":
         raise UsageError(f"-o {path}: a bundle's name ends in .zip")
+    check_outputs(path, force=force)
     made = make_bundle(opened, until)
-    write_file(path, made.data, force=force)
+    write_whole(path, made.data, force=force)
     part = "" if made.whole else " (a part of the log)"
     note(f"written: {path}, {len(made.data) / 1000:.0f} kB, {made.steps} steps{part}")
     if len(made.data) > LARGE:

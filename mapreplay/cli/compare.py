@@ -16,11 +16,12 @@ from mapreplay.cli.output import (
     Format,
     FormatOption,
     OutputOption,
+    check_outputs,
     emit,
     note,
-    write_file,
 )
 from mapreplay.errors import UsageError
+from mapreplay.files import write_whole
 
 if TYPE_CHECKING:
     import polars as pl
@@ -85,6 +86,7 @@ def compare(
     Pairs by floor plan, start and seed; a failure takes the whole budget. Differences from the
     baseline with 95 % intervals over floor plans, and tests corrected for their number (Holm).
     """
+    check_outputs(output, plot, html, force=force)
     if plot is not None and plot.suffix not in {".png", ".svg"}:
         raise UsageError(f"--plot {plot}: should end in .png or .svg")
     from mapreplay.analysis.comparison import compare as of
@@ -106,12 +108,12 @@ def compare(
         from mapreplay.analysis.reporting.figures import render
 
         overview = Overview(result)
-        write_file(plot, render(overview, overview.size, form=plot.suffix[1:]), force=force)
+        write_whole(plot, render(overview, overview.size, form=plot.suffix[1:]), force=force)
         note(f"drawn: {plot}")
     if html is not None:
         from mapreplay.analysis.comparison.page import comparison_page
 
-        write_file(html, comparison_page(result).html().encode(), force=force)
+        write_whole(html, comparison_page(result).html().encode(), force=force)
         note(f"written: {html}")
     emit(of.comparison_frame(result), "mapreplay.compare/1", form, output, text=_text(result),
          force=force)  # fmt: skip

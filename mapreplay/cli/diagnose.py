@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,11 +15,13 @@ from mapreplay.cli.output import (
     Format,
     FormatOption,
     OutputOption,
+    check_outputs,
     emit,
     note,
-    write_file,
+    say,
 )
 from mapreplay.errors import LogError, MapreplayError, UsageError
+from mapreplay.files import write_whole
 
 if TYPE_CHECKING:
     from mapreplay.analysis.diagnosis.diagnosis import Diagnosis
@@ -49,6 +50,7 @@ def diagnose(
     Which cells, since when, from which evidence, and what would have helped; also near misses,
     detours and wrong coverage. One log gets a paragraph, many get tables.
     """
+    check_outputs(output, html, force=force)
     form = _form(form, output)
     from mapreplay.analysis.diagnosis.corpus import corpus_claims
     from mapreplay.analysis.diagnosis.frame import sealing_frame
@@ -64,7 +66,7 @@ def diagnose(
         from mapreplay.analysis.diagnosis.page import diagnosis_page
 
         page = diagnosis_page([(Path(file), d) for file, d in diagnoses.items()])
-        write_file(html, page.encode(), force=force)
+        write_whole(html, page.encode(), force=force)
         note(f"written: {html}")
     if form in (Format.CSV, Format.PARQUET):
         emit(
@@ -78,7 +80,7 @@ def diagnose(
             from mapreplay.analysis.diagnosis.paragraph import paragraph
 
             texts = [paragraph(d, file, claims) for file, d in diagnoses.items()]
-            typer.echo("\n\n".join(_wrapped(text) for text in texts))
+            say("\n\n".join(_wrapped(text) for text in texts))
         if len(diagnoses) > 1:
             _print_tables(found)
         if len(diagnoses) > FEW:
@@ -132,7 +134,7 @@ def _save(diagnoses: dict[str, Diagnosis]) -> None:
     for file, diagnosis in diagnoses.items():
         try:
             save_beside(Path(file), record_of(diagnosis))
-        except LogError as error:
+        except MapreplayError as error:
             problems.append(str(error))
     if problems:
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
@@ -157,10 +159,9 @@ def _emit_json(diagnoses: dict[str, Diagnosis], output: Path | None, *, force: b
             }
         )
     if output is not None:
-        write_file(output, data, force=force)
+        write_whole(output, data, force=force)
     else:
-        sys.stdout.buffer.write(data)
-        sys.stdout.buffer.flush()
+        say(data.decode().removesuffix("\n"))
 
 
 def _wrapped(text: str) -> str:
@@ -175,5 +176,5 @@ def _print_tables(found: list[Diagnosis]) -> None:
 
     for title, frame in all_tables(found):
         if len(frame):
-            typer.echo(f"\n{title}")
+            say(f"\n{title}")
             emit(frame, "", Format.TABLE)

@@ -15,6 +15,7 @@ from mapreplay.cli.output import (
     Format,
     FormatOption,
     OutputOption,
+    check_outputs,
     emit,
     note,
 )
@@ -55,6 +56,7 @@ def diff(
     Two folders: pairs episodes by floor plan, start and seed, and ranks them by difference.
     Episodes are identical only if they are the same bit for bit.
     """
+    check_outputs(output, force=force)
     try:
         (of_a, lost_a), (of_b, lost_b) = (read_episodes([side], where) for side in (a, b))
         if len(of_a) == len(of_b) == 1:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mapreplay.cli.output import note
+from mapreplay.cli.output import note, say
 from mapreplay.errors import MapreplayError, UsageError
+from mapreplay.files import make_folder, write_whole
 
 if TYPE_CHECKING:
     from mapreplay.analysis.experiment.config import Dataset, ExperimentConfig
@@ -21,7 +22,10 @@ def experiment(
     config: Annotated[
         str, typer.Argument(help="TOML file, or the name of one in samples/experiments: paper.")
     ],
-    out: Annotated[Path, typer.Option(help="Folder for the results; goes on where it stopped.")],
+    out: Annotated[
+        Path,
+        typer.Option("--out", "-o", help="Folder for the results; goes on where it stopped."),
+    ],
     floorplans: Annotated[
         list[str] | None,
         typer.Option(help="NAME=SPEC: where the floor plans of that dataset are."),
@@ -49,7 +53,7 @@ def experiment(
         _make(settings, _places(floorplans or [], settings), out, jobs or os.cpu_count() or 1)
     for path in write_report(out, docs, Path(config).stem):
         note(f"wrote {path}")
-    typer.echo((out / "results.md").read_text(encoding="utf-8"))
+    say((out / "results.md").read_text(encoding="utf-8"))
 
 
 def _find(name: str) -> Path:
@@ -102,18 +106,18 @@ def _make(settings: ExperimentConfig, places: dict[str, str], out: Path, process
 
 def _keep_settings(settings: ExperimentConfig, out: Path) -> None:
     """Write down what `out` is of, so that no other experiment is mixed with it."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        for name, text in settings.per_dataset().items():
-            path = out / f"settings-{name}.json"
-            if not path.exists():
-                part = path.with_suffix(".part")
-                part.write_text(text, encoding="utf-8")
-                part.replace(path)
-            elif path.read_text(encoding="utf-8") != text:
+    make_folder(out)
+    for name, text in settings.per_dataset().items():
+        path = out / f"settings-{name}.json"
+        try:
+            there = path.read_bytes()
+        except FileNotFoundError:
+            write_whole(path, text.encode())
+        except OSError as error:
+            raise MapreplayError(f"{path}: cannot be read ({error.strerror})") from None
+        else:
+            if there != text.encode():
                 raise UsageError(f"{path}: another experiment is there; choose another --out")
-    except OSError as error:
-        raise MapreplayError(f"{out}: cannot be written ({error.strerror})") from None
 
 
 def _simulate(jobs: list[Job], path: Path, processes: int) -> None:
@@ -123,7 +127,7 @@ def _simulate(jobs: list[Job], path: Path, processes: int) -> None:
     from mapreplay.analysis.experiment.runner import jobs_left, run_jobs
     from mapreplay.cli.progress import TimeLeft, progress_bar
 
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     file = RowFile(path)
     left = jobs_left(jobs, file)
     total, done = len(jobs), len(jobs) - len(left)

@@ -8,8 +8,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mapreplay.cli.output import LOST, ForceOption, Format, FormatOption, OutputOption, emit, note
+from mapreplay.cli.output import (
+    LOST,
+    ForceOption,
+    Format,
+    FormatOption,
+    OutputOption,
+    check_outputs,
+    emit,
+    note,
+)
 from mapreplay.errors import FloorPlanError
+from mapreplay.files import write_whole
 
 if TYPE_CHECKING:
     from mapreplay.floorplan import FloorPlan
@@ -36,9 +46,9 @@ def floorplans(
     force: ForceOption = False,
 ) -> None:
     """List, describe and preview floor plans."""
+    check_outputs(output, preview, force=force)
     import polars as pl
 
-    from mapreplay.cli.output import write_file
     from mapreplay.floorplans import load_each, open_source, read_ids, select
 
     source = open_source(spec, resolution)
@@ -64,7 +74,7 @@ def floorplans(
     if preview and plans:
         from mapreplay.floorplans.preview import contact_sheet, encode_png
 
-        write_file(preview, encode_png(contact_sheet(plans)), force=force)
+        write_whole(preview, encode_png(contact_sheet(plans)), force=force)
         note(f"drawn: {preview}")
     total = len(wanted) - len(selection.missing) if wanted is not None else len(source.ids())
     if total > len(selection.ids):

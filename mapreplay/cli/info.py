@@ -3,7 +3,14 @@
 from __future__ import annotations
 
 from mapreplay.cli.logs import LogArgument, end_with, open_log
-from mapreplay.cli.output import ForceOption, Format, FormatOption, OutputOption, emit
+from mapreplay.cli.output import (
+    ForceOption,
+    Format,
+    FormatOption,
+    OutputOption,
+    check_outputs,
+    emit,
+)
 
 
 def info(
@@ -16,6 +23,7 @@ def info(
 
     Configuration, floor plan, predictor, versions, how it ended, and its events.
     """
+    check_outputs(output, force=force)
     import polars as pl
 
     from mapreplay.analysis.episodes.summary import summarize

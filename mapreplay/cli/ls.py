@@ -5,7 +5,15 @@ from __future__ import annotations
 import typer
 
 from mapreplay.cli.logs import PathsArgument, WhereOption, choose
-from mapreplay.cli.output import LOST, ForceOption, Format, FormatOption, OutputOption, emit
+from mapreplay.cli.output import (
+    LOST,
+    ForceOption,
+    Format,
+    FormatOption,
+    OutputOption,
+    check_outputs,
+    emit,
+)
 
 
 def ls(
@@ -16,6 +24,7 @@ def ls(
     force: ForceOption = False,
 ) -> None:
     """List episodes: what was run and how it ended."""
+    check_outputs(output, force=force)
     rows, unreadable = choose(paths, where)
     from mapreplay.analysis.episodes.summary import brief, episode_frame
 

@@ -17,6 +17,7 @@ from mapreplay.cli.output import (
     Format,
     FormatOption,
     OutputOption,
+    check_outputs,
     emit,
     emit_parts,
     note,
@@ -80,6 +81,7 @@ def metrics(
     the observed ones, and how stable the prediction is. With the default options they are
     compared with what was recorded, bit for bit.
     """
+    check_outputs(output, force=force)
     from mapreplay.analysis.metrics.measure import Scope
     from mapreplay.recorders.log.find import find_logs
     from mapreplay.scores import UnknownAs

@@ -17,7 +17,9 @@ from typing import TYPE_CHECKING, Annotated, Final, TypeAlias
 
 import typer
 
-from mapreplay.errors import MapreplayError, UsageError
+from mapreplay.errors import UsageError
+from mapreplay.files import check_new, write_whole
+from mapreplay.text import printable
 
 if TYPE_CHECKING:
     import polars as pl
@@ -42,7 +44,7 @@ _BY_ENDING = {f".{form}": form for form in Format if form is not Format.TABLE}
 
 FormatOption = Annotated[Format, typer.Option("--format", help="How to print the result.")]
 OutputOption = Annotated[
-    Path | None, typer.Option("--output", "-o", help="Write the result to this file.")
+    Path | None, typer.Option("--out", "-o", help="Write the result to this file.")
 ]
 ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
 
@@ -65,7 +67,7 @@ def emit(
 
     Raises:
         UsageError: Parquet to a terminal, or an existing `output` without `force`.
-        MapreplayError: `output` cannot be written.
+        WriteError: `output`, or stdout, cannot be written.
     """
     form = _resolve(form, output)
     if form is Format.PARQUET:
@@ -77,7 +79,8 @@ def emit(
     elif form is Format.JSON:
         data = (_json_head(schema) + ",".join(_json_rows(frame)) + _JSON_TAIL).encode()
     else:
-        data = _for_people(frame if text is None else text, wide=output is not None)
+        _deliver_text(frame if text is None else text, output, force=force)
+        return
     _deliver([data], output, force=force)
 
 
@@ -93,12 +96,11 @@ def emit_parts(
     """Like `emit`, of a table that may not fit into memory: its `parts`, one after the other.
 
     Raises:
-        UsageError, MapreplayError: see `emit`.
+        UsageError, WriteError: see `emit`.
     """
     form = _resolve(form, output)
     if form is Format.TABLE:
-        data = _for_people(text.collect(), wide=output is not None)
-        _deliver([data], output, force=force)
+        _deliver_text(text.collect(), output, force=force)
     elif form is Format.PARQUET:
         import polars as pl
 
@@ -117,6 +119,20 @@ def emit_parts(
         _deliver(_json_parts(parts, schema), output, force=force)
 
 
+def check_outputs(*paths: Path | None, force: bool) -> None:
+    """Refuse files that cannot be written, or are named twice, before any work is done for them.
+
+    Raises:
+        UsageError: one is there and `force` is not given, or two are the same file.
+        WriteError: one cannot be written.
+    """
+    named = [path for path in paths if path is not None]
+    for path in named:
+        check_new(path, force=force)
+    if twice := [path for path in named if named.count(path) > 1]:
+        raise UsageError(f"{twice[0]}: is to be written twice; choose another name for one")
+
+
 def _resolve(form: Format, output: Path | None) -> Format:
     """The format that is meant, by the ending of the file if nothing else says so.
 
@@ -133,42 +149,30 @@ def _resolve(form: Format, output: Path | None) -> Format:
 def _deliver(blocks: Iterable[bytes], output: Path | None, *, force: bool) -> None:
     """Bytes to stdout or into a file, as they come."""
     if output is not None:
-        write_blocks(output, blocks, force=force)
+        write_whole(output, blocks, force=force)
         return
     for block in blocks:
         sys.stdout.buffer.write(block)
     sys.stdout.buffer.flush()
 
 
-def write_file(path: Path, data: bytes, *, force: bool) -> None:
-    """Write a whole new file.
-
-    Raises:
-        UsageError: it is there, and `force` was not given.
-        MapreplayError: it cannot be written.
-    """
-    write_blocks(path, [data], force=force)
-
-
-def write_blocks(path: Path, blocks: Iterable[bytes], *, force: bool) -> None:
-    """Write a new file, block by block.
-
-    Raises:
-        UsageError: it is there, and `force` was not given.
-        MapreplayError: it cannot be written.
-    """
-    try:
-        with path.open("wb" if force else "xb") as file:
-            file.writelines(blocks)
-    except FileExistsError:
-        raise UsageError(f"{path} exists; choose another name, or --force") from None
-    except OSError as error:
-        raise MapreplayError(f"{path}: cannot be written ({error.strerror})") from None
+def _deliver_text(text: pl.DataFrame | Shown, output: Path | None, *, force: bool) -> None:
+    """What people read, to stdout in the encoding that it has, or into a file."""
+    shown = _for_people(text, wide=output is not None)
+    if output is None:
+        print(shown, flush=True)
+    else:
+        write_whole(output, f"{shown}\n".encode(), force=force)
 
 
 def note(line: str) -> None:
     """Say something beside the result, on stderr."""
-    typer.echo(line, err=True)
+    print(printable(line), file=sys.stderr)
+
+
+def say(text: str) -> None:
+    """Say lines to people, on stdout: all of `text` but its line ends is `printable`."""
+    print("\n".join(map(printable, text.split("\n"))), flush=True)
 
 
 def _json_head(schema: str) -> str:
@@ -210,7 +214,7 @@ Shown: TypeAlias = "Sequence[str | Command | pl.DataFrame]"
 """What people see: lines, commands and tables."""
 
 
-def _for_people(text: pl.DataFrame | Shown, *, wide: bool) -> bytes:
+def _for_people(text: pl.DataFrame | Shown, *, wide: bool) -> str:
     """Tables as they are, and lines wrapped to 80 columns."""
     import polars as pl
 
@@ -224,11 +228,11 @@ def _for_people(text: pl.DataFrame | Shown, *, wide: bool) -> bytes:
             if isinstance(part, Command)
             else textwrap.fill(part, WIDTH, subsequent_indent="  ", break_on_hyphens=False)
         )
-        blocks.append(f"{line}\n".encode())
-    return b"".join(blocks)
+        blocks.append(line)
+    return "\n".join(blocks)
 
 
-def _text_table(frame: pl.DataFrame, *, wide: bool) -> bytes:
+def _text_table(frame: pl.DataFrame, *, wide: bool) -> str:
     """A table for 80 columns: text that is the same in every row is said once, above it."""
     from rich import box
     from rich.console import Console
@@ -259,7 +263,7 @@ def _text_table(frame: pl.DataFrame, *, wide: bool) -> bytes:
         console.print(title)
     console.print(table)
     lines = [line.rstrip() for line in buffer.getvalue().splitlines()]
-    return "\n".join(line for line in lines if line).encode() + b"\n"
+    return "\n".join(line for line in lines if line)
 
 
 def _text_value(value: object) -> str:

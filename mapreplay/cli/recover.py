@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from mapreplay.cli.logs import PathsArgument
-from mapreplay.cli.output import LOST, ForceOption, Format, FormatOption, OutputOption, emit, note
+from mapreplay.cli.output import (
+    LOST,
+    ForceOption,
+    Format,
+    FormatOption,
+    OutputOption,
+    check_outputs,
+    emit,
+    note,
+)
 from mapreplay.errors import LogError, MapreplayError
 
 if TYPE_CHECKING:
@@ -31,6 +40,7 @@ def recover(
 
     Every step that can be read is kept under its number, also behind what is damaged. LOG stays.
     """
+    check_outputs(output, force=force)
     import polars as pl
 
     from mapreplay.recorders.log.find import find_logs

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mapreplay.cli.output import LOST, ForceOption, Format, FormatOption, emit, note
-from mapreplay.errors import FloorPlanError, MapreplayError, UsageError
+from mapreplay.errors import FloorPlanError, UsageError
+from mapreplay.files import make_folder
 from mapreplay.plugins import Group, find
 
 if TYPE_CHECKING:
@@ -100,7 +101,8 @@ def run(
         Path | None, typer.Option(help="TOML file with these options as keys.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for the logs (default runs/<date-time>).")
+        Path | None,
+        typer.Option("--out", "-o", help="Folder for the logs (default runs/<date-time>)."),
     ] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Skip the episodes that are finished in --out.")
@@ -142,7 +144,7 @@ def run(
     finished: list[Path] = []
     if resume:
         finished, tasks = _skip_finished(tasks, loaded)
-    folder = _make_folder(folder)
+    make_folder(folder)
     try:
         done = _watch(tasks) if view else _record(tasks, settings.jobs)
     except KeyboardInterrupt:
@@ -231,14 +233,6 @@ def _skip_finished(tasks: list[Task], predictor: Predictor) -> tuple[list[Path],
 
 def _go_on(folder: Path) -> str:
     return f"to go on, repeat the command with --resume --out {folder}"
-
-
-def _make_folder(folder: Path) -> Path:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise MapreplayError(f"{folder}: cannot be made ({error.strerror})") from None
-    return folder
 
 
 def _record(tasks: list[Task], jobs: int) -> list[Path]:

@@ -14,7 +14,7 @@ from mapreplay.errors import UsageError
 
 
 def train(
-    out: Annotated[Path, typer.Option(help="Weights to write: NAME.safetensors.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Weights to write: NAME.safetensors.")],
     floorplans: Annotated[
         str | None,
         typer.Option(help="Floor plans to train on; see `mapreplay floorplans --help`."),

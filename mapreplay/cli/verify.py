@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mapreplay.cli.logs import PathsArgument, WhereOption, tell_states
-from mapreplay.cli.output import LOST, ForceOption, Format, FormatOption, OutputOption, emit, note
+from mapreplay.cli.output import (
+    LOST,
+    ForceOption,
+    Format,
+    FormatOption,
+    OutputOption,
+    check_outputs,
+    emit,
+    note,
+)
 from mapreplay.errors import MapreplayError, PluginError, UsageError
 
 if TYPE_CHECKING:
@@ -40,6 +49,7 @@ def verify(
     force: ForceOption = False,
 ) -> None:
     """Prove that logs are true: scans, maps, moves, decisions, metrics and outcome."""
+    check_outputs(output, force=force)
     if rerun and rerun_from is not None:
         raise UsageError("verify: choose one of --rerun and --rerun-from")
     from mapreplay.analysis.episodes.summary import Condition, summarize

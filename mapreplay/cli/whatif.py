@@ -14,11 +14,12 @@ from mapreplay.cli.output import (
     Format,
     FormatOption,
     OutputOption,
+    check_outputs,
     emit,
     note,
-    write_file,
 )
 from mapreplay.errors import UsageError
+from mapreplay.files import write_whole
 
 if TYPE_CHECKING:
     import polars as pl
@@ -55,6 +56,7 @@ def whatif(
     would have been sealed in, and when released. The trajectory stays as it was: `branch` runs
     the episode on.
     """
+    check_outputs(output, plot, force=force)
     from mapreplay.analysis.whatif.grid import what_if, what_if_frame
 
     free, occupied = (
@@ -193,5 +195,5 @@ def _plot(path: Path, log: EpisodeLog, result: WhatIf, step: int, *, force: bool
 
     config = log.header.at(step).config
     picture = HeatMap(result, step, (config.delta_free, config.delta_occupied))
-    write_file(path, render(picture, (9, 4.2), form=path.suffix[1:]), force=force)
+    write_whole(path, render(picture, (9, 4.2), form=path.suffix[1:]), force=force)
     note(f"drawn: {path}")

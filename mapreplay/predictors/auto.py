@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mapreplay.errors import WeightsError
+from mapreplay.files import write_whole
 from mapreplay.grid import Grid
 from mapreplay.predictors import Predictor, load_predictor
 from mapreplay.predictors.auto_features import WORDS, count_words
@@ -117,7 +118,7 @@ def save_classifier(classifier: Classifier, path: Path, card: Mapping[str, objec
         "hidden": dict(zip(WORDS, rounded(classifier.hidden), strict=True)),
     }
     lines = [f" {json.dumps(key)}: {json.dumps(value)}" for key, value in data.items()]
-    path.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+    write_whole(path, ("{\n" + ",\n".join(lines) + "\n}\n").encode(), force=True)
 
 
 class AutoPredictor:

@@ -46,8 +46,8 @@ def is_locked(path: Path) -> bool:
 
 
 def is_at(file: BinaryIO, path: Path) -> bool:
-    """Whether the open `file` is still the one at `path`: not moved, removed or replaced."""
+    """Whether the open `file` is what is at `path`: not moved, removed, replaced or linked."""
     try:
-        return os.path.samestat(os.fstat(file.fileno()), path.stat())
+        return os.path.samestat(os.fstat(file.fileno()), path.lstat())
     except FileNotFoundError:
         return False

@@ -95,7 +95,7 @@ def recover(source: Path, *, force: bool = False) -> Recovered | None:
 
 def _write(log: SalvagedLog, path: Path) -> tuple[list[int], Outcome | None]:
     """Write the steps that can be read; their numbers, and how the episode ended."""
-    writer = EpisodeWriter(path, log.header, profile=True)
+    writer = EpisodeWriter(path, log.header, profile=True, force=True)  # the draft is there
     numbers: list[int] = []
     outcome = None
     try:

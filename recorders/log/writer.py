@@ -9,7 +9,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Final, Self
 
-from mapreplay.errors import LogError
+from mapreplay.errors import ExistsError, LogError, MapreplayError
+from mapreplay.files import cannot_write, check_new, make_folder
 from mapreplay.recorders.log import step_table as table
 from mapreplay.recorders.log.header import (
     EPISODE_RECORD,
@@ -63,9 +64,11 @@ class EpisodeWriter:
             force: Overwrite `path` and ``<path>.part``.
 
         Raises:
-            LogError: there is such a file already, or another process writes it (also with
-                `force`), or it cannot be written; or cells of this resolution and origin
-                cannot be told from their metres.
+            ExistsError: there is such a file already, or, also with `force`, it is not a regular
+                file.
+            LogError: another process writes it, or cells of this resolution and origin cannot be
+                told from their metres.
+            WriteError: it cannot be written.
         """
         path = Path(path)
         if path.suffix != ".mcap":
@@ -79,7 +82,8 @@ class EpisodeWriter:
         self._channels: dict[Topic, int] = {}
         self._pending_bytes = 0
         check_geometry(header.floor_plan)
-        self._refuse_overwriting()
+        make_folder(path.parent)
+        check_new(path, force=force)
         self._file = _create(self.part, force=force)
         with self._writing():
             self._mcap = ContainerWriter(self._file, profile="ros2", library="mapreplay")
@@ -100,15 +104,15 @@ class EpisodeWriter:
         if error is None:
             self.close()
         else:
-            with suppress(LogError):  # the exception under way says more
+            with suppress(MapreplayError):  # the exception under way says more
                 self._keep_part()
 
     def write(self, step: Step) -> None:
         """Append a step.
 
         Raises:
-            LogError: the file cannot be written, or a log with this step could not be read
-                back (`mapreplay.recorders.log.limits`).
+            LogError: a log with this step could not be read back (see `limits`).
+            WriteError: the file cannot be written.
             ValueError: `step` does not follow the last one.
         """
         if step.index >= MAX_STEPS:
@@ -146,7 +150,8 @@ class EpisodeWriter:
         """Finish the log if its last step was written, otherwise keep it as ``.part``.
 
         Raises:
-            LogError: the file cannot be written, or meanwhile there is another of that name.
+            ExistsError: meanwhile there is another of that name.
+            WriteError: the file cannot be written.
         """
         if self._file.closed:
             return
@@ -161,7 +166,7 @@ class EpisodeWriter:
         If the end is, its outcome stays unknown.
 
         Raises:
-            LogError: as for `close`.
+            ExistsError, WriteError: as for `close`.
             ValueError: no step was written.
         """
         if not self._tally.rows:
@@ -177,7 +182,7 @@ class EpisodeWriter:
             self._mcap.add_metadata(OUTCOME_RECORD, outcome_pairs(summary, self._tally.missing))
             self._mcap.finish()
             self._sync()
-            self._refuse_overwriting()
+            check_new(self.path, force=self._force)
             move(self._file, self.part, self.path)
             _sync_folder(self.path.parent)
 
@@ -209,10 +214,6 @@ class EpisodeWriter:
         )
         return self._channels[topic]
 
-    def _refuse_overwriting(self) -> None:
-        if not self._force and self.path.exists():
-            raise LogError(f"{self.path}: exists; choose another name, or overwrite with --force")
-
     @contextmanager
     def _writing(self) -> Iterator[None]:
         """Errors of the operating system as ours; the file is closed after one."""
@@ -221,8 +222,8 @@ class EpisodeWriter:
         except OSError as error:
             with suppress(OSError):  # what is still buffered cannot be written either
                 self._file.close()
-            raise _cannot_write(self.part, error) from None
-        except LogError:
+            raise cannot_write(self.part, error) from None
+        except MapreplayError:
             self._file.close()
             raise
 
@@ -270,22 +271,19 @@ class _Tally:
 
 def _create(part: Path, *, force: bool) -> BinaryIO:
     """The new file, empty and locked."""
-    try:
-        part.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise _cannot_write(part, error) from None
+    check_new(part, force=True)  # whatever it is, it is a file
     try:
         # What is there is truncated only under the lock.
         file = part.open("ab" if force else "xb")
     except FileExistsError:
         if is_locked(part):
             raise _is_being_written(part) from None
-        raise LogError(
+        raise ExistsError(
             f"{part}: exists; an interrupted recording left it: save it with `mapreplay "
             "recover`, move it away, or overwrite it with --force"
         ) from None
     except OSError as error:
-        raise _cannot_write(part, error) from None
+        raise cannot_write(part, error) from None
     try:
         if not lock(file) or not is_at(file, part):
             raise _is_being_written(part)
@@ -293,7 +291,7 @@ def _create(part: Path, *, force: bool) -> BinaryIO:
         file.seek(0)
     except OSError as error:
         file.close()
-        raise _cannot_write(part, error) from None
+        raise cannot_write(part, error) from None
     except LogError:
         file.close()
         raise
@@ -302,10 +300,6 @@ def _create(part: Path, *, force: bool) -> BinaryIO:
 
 def _is_being_written(part: Path) -> LogError:
     return LogError(f"{part}: another process is writing it; choose another name, or wait")
-
-
-def _cannot_write(path: Path, error: OSError) -> LogError:
-    return LogError(f"{path}: cannot be written ({error.strerror or error})")
 
 
 def _sync_folder(folder: Path) -> None:

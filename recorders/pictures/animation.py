@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import suppress
 from functools import lru_cache
 from itertools import chain
 from pathlib import Path
@@ -13,7 +11,8 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from mapreplay.errors import LogError
+from mapreplay.errors import LogError, WriteError
+from mapreplay.files import whole_path
 from mapreplay.recorders.pictures.dashboard import Film
 from mapreplay.recorders.pictures.painter import Picture
 from mapreplay.recorders.pictures.palette import (
@@ -42,27 +41,27 @@ def save_png(path: Path, film: Film, step: int, *, force: bool = False) -> None:
     """Write one step as PNG.
 
     Raises:
-        LogError: a log is damaged, or `path` is there and `force` is not given, or it cannot
-            be written.
+        LogError: a log is damaged.
+        ExistsError, WriteError: see `mapreplay.files.whole_path`.
     """
-    _write(path, lambda part: _bytes(part, png_bytes(film.frame(step))), force=force)
+    with whole_path(path, force=force) as draft:
+        draft.write_bytes(png_bytes(film.frame(step)))
 
 
 def save_gif(path: Path, film: Film, every: int = 1, *, force: bool = False) -> None:
     """Write every so many-th step as an endless GIF.
 
     Raises:
-        LogError: as `save_png`.
+        LogError, ExistsError, WriteError: as `save_png`.
     """
-
-    def write(part: Path) -> None:
+    with whole_path(path, force=force) as draft:
         frames = film.frames(every)
         first = next(frames)
         tick = 1000 / FRAMES_PER_SECOND
         count = _count(film, every)
         durations = [tick] * (count - 1) + [_LAST_SECONDS * 1000]
         few_colours(first).save(
-            part,
+            draft,
             format="GIF",
             save_all=True,
             append_images=(few_colours(frame) for frame in frames),
@@ -71,37 +70,60 @@ def save_gif(path: Path, film: Film, every: int = 1, *, force: bool = False) -> 
             optimize=False,
         )
 
-    _write(path, write, force=force)
-
 
 def save_mp4(path: Path, film: Film, every: int = 1, *, force: bool = False) -> None:
     """Write every so many-th step as MP4 (VP9, which browsers and players show).
 
     Raises:
         LogError: as `save_png`, or this build of OpenCV cannot encode VP9.
+        ExistsError, WriteError: as `save_png`.
     """
-
-    def write(part: Path) -> None:
+    with whole_path(path, force=force) as draft:
         frames = film.frames(every)
         first = next(frames)
         height, width = first.shape[:2]
         # An encoder needs even numbers.
         size = (width - width % 2, height - height % 2)
         code = cv2.VideoWriter.fourcc(*"vp09")
-        writer = cv2.VideoWriter(str(part), cv2.CAP_FFMPEG, code, FRAMES_PER_SECOND, size)
+        writer = cv2.VideoWriter(_for_opencv(draft), cv2.CAP_FFMPEG, code, FRAMES_PER_SECOND, size)
         if not writer.isOpened():
             raise LogError(f"{path}: OpenCV cannot write MP4 here; use --gif")
+        written = 0
         try:
             last: Picture = first
             for frame in chain([first], frames):
                 last = frame
                 writer.write(_cropped(frame, size))
+                written += 1
             for _ in range(round(_LAST_SECONDS * FRAMES_PER_SECOND)):
                 writer.write(_cropped(last, size))
+                written += 1
         finally:
             writer.release()
+        if _frames_in(draft) != written:  # the writer says nothing of a full disk
+            raise WriteError(f"{path}: cannot be written (no more than a part of it; a full disk?)")
 
-    _write(path, write, force=force)
+
+def _for_opencv(path: Path) -> str:
+    """`path` as OpenCV takes it."""
+    name = str(path)
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        raise LogError(f"{path}: OpenCV writes no names that are not UTF-8; use --gif") from None
+    return name
+
+
+def _frames_in(path: Path) -> int:
+    """How many frames of a film can be read back."""
+    reader = cv2.VideoCapture(_for_opencv(path), cv2.CAP_FFMPEG)
+    try:
+        count = 0
+        while reader.isOpened() and reader.grab():
+            count += 1
+        return count
+    finally:
+        reader.release()
 
 
 def few_colours(picture: Picture) -> Image.Image:
@@ -135,23 +157,3 @@ def _cropped(picture: Picture, size: tuple[int, int]) -> Picture:
 
 def _count(film: Film, every: int) -> int:
     return len({*range(0, film.last + 1, every), film.last})
-
-
-def _bytes(path: Path, data: bytes) -> None:
-    path.write_bytes(data)
-
-
-def _write(path: Path, write: Callable[[Path], None], *, force: bool) -> None:
-    """Let `write` make a file, which is at `path` when it is whole."""
-    if path.exists() and not force:
-        raise LogError(f"{path}: already there; use --force to overwrite it")
-    part = path.with_name(f".{path.stem}.part{path.suffix}")  # encoders look at the suffix
-    try:
-        part.write_bytes(b"")  # before all the work
-        write(part)
-        part.replace(path)
-    except OSError as error:
-        raise LogError(f"{path}: cannot be written ({error.strerror or error})") from None
-    finally:
-        with suppress(OSError):
-            part.unlink()

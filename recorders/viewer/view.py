@@ -18,7 +18,8 @@ from urllib.parse import quote
 import rerun as rr
 import rerun.blueprint as rrb
 
-from mapreplay.errors import LogError, MapreplayError, UsageError
+from mapreplay.errors import MapreplayError, UsageError
+from mapreplay.files import whole_path
 from mapreplay.recorders.pictures.replay import LETTERS, Replay, names_of
 from mapreplay.recorders.viewer.columns import EpisodeColumns, send_episode, send_scores
 from mapreplay.recorders.viewer.layout import TIMELINE, Pane, application_id, layout
@@ -44,22 +45,10 @@ def save_rrd(path: Path, replays: Sequence[Replay], *, force: bool = False) -> N
     All that is written, which is compressed, is in memory at one time.
 
     Raises:
-        LogError: the file is there and `force` is not given, or it cannot be written.
+        ExistsError, WriteError: see `mapreplay.files.whole_path`.
     """
-    if path.exists() and not force:
-        raise LogError(f"{path}: already there; use --force to overwrite it")
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_bytes(b"")  # before all the work
-    except OSError as error:
-        raise LogError(f"{path}: cannot be written ({error.strerror})") from None
-    try:
-        part.write_bytes(_encoded(replays))
-        part.replace(path)
-    except OSError as error:
-        raise LogError(f"{path}: cannot be written ({error.strerror})") from None
-    finally:
-        part.unlink(missing_ok=True)
+    with whole_path(path, force=force) as draft:
+        draft.write_bytes(_encoded(replays))
 
 
 def open_viewer(

@@ -44,7 +44,7 @@ def test_a_corridor(cli: Run, corridor: Path, tmp_path: Path) -> None:
     assert max(map(len, table.out.splitlines())) <= 80
     again = cli("bench", "limits", "--floorplans", corridor, "--markdown", markdown)
     assert again.code == 2
-    assert "exists; choose another name, or --force" in again.err
+    assert "exists; choose another name, or overwrite it with --force" in again.err
 
 
 @pytest.mark.parametrize(

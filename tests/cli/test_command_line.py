@@ -275,7 +275,7 @@ def test_export_writes_arrays_and_pictures(cli: Run, logs: Path, tmp_path: Path)
     with np.load(npz) as arrays:
         assert arrays["observed"].shape == (31, 64, 64)
     assert list(png.glob("*.png"))
-    assert cli("export", log, "--npz", npz).code == 1  # it is there
+    assert cli("export", log, "--npz", npz).code == 2  # it is there
     assert cli("export", log, "--png", tmp_path / "b", "--step", 99).code == 2
 
 

@@ -53,7 +53,7 @@ def test_the_page_is_self_contained_and_shows_how_to_go_on(cli: Run, tmp_path: P
     assert f"mapreplay view {SAMPLES}/procedural-60002__nearest" in text
     again = cli("compare", SAMPLES, "--html", page, "--where", "floor_plan=procedural-60002")
     assert again.code == 2
-    assert "exists; choose another name, or --force" in again.err
+    assert "exists; choose another name, or overwrite it with --force" in again.err
 
 
 def test_hostile_names_are_shown_and_not_obeyed() -> None:

@@ -99,7 +99,7 @@ def test_whatif_says_what_would_have_kept_a_way_open(cli: Run, tmp_path: Path) -
     assert plot.read_bytes().startswith(b"\x89PNG")
     again = cli("whatif", SEALED, "--plot", plot)
     assert again.code == 2
-    assert "exists; choose another name, or --force" in again.err
+    assert "exists; choose another name, or overwrite it with --force" in again.err
 
 
 def test_whatif_tabulates_the_grid(cli: Run) -> None:

@@ -96,5 +96,5 @@ def test_a_folder_called_like_an_experiment_does_not_hide_it(
 def test_an_out_that_is_no_folder_is_refused(cli: Run, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     result = cli("experiment", TINY, "--out", tmp_path / "file")
-    assert result.code == 1
-    assert "file: cannot be written" in result.err
+    assert result.code == 2
+    assert "file: is a file, or in one; name a folder" in result.err

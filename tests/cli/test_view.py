@@ -26,7 +26,7 @@ def test_it_saves_a_recording(cli: Run, three: list[Path], tmp_path: Path) -> No
     result = cli("view", three[0], "--save", rrd)
     assert result.code == 0, result.err
     assert "/maps/observed" in entities(rrd)
-    assert cli("view", three[0], "--save", rrd).code == 1, "it is there"
+    assert cli("view", three[0], "--save", rrd).code == 2, "it is there"
 
 
 def test_of_three_logs_the_curves_of_all_and_the_maps_of_two(

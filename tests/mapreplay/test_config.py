@@ -73,7 +73,7 @@ def test_a_toml_file_has_the_same_keys(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [(b"planner = ", "not TOML"), (b"\xff\xfe", "not TOML"), (b"#" * (2 << 20), "larger than")],
+    [(b"planner = ", "not TOML"), (b"\xff\xfe", "not UTF-8"), (b"#" * (2 << 20), "larger than")],
 )
 def test_a_file_that_is_no_configuration_is_refused(
     tmp_path: Path, text: bytes, message: str
@@ -87,3 +87,61 @@ def test_a_file_that_is_no_configuration_is_refused(
 def test_a_missing_configuration_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"none\.toml: cannot be read \(No such file"):
         read_toml(tmp_path / "none.toml")
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"seed = 1\nx = " + b"[" * 9999, r"c\.toml, line 2: nested too deeply"),
+        (b"\n\nx = " + b"{a=" * 3000 + b"1" + b"}" * 3000, r"c\.toml, line 3: nested too deeply"),
+        (
+            b"seed = 1\nepisodes = " + b"9" * 5000,
+            r"c\.toml, line 2: a value that cannot be \(.+\)$",
+        ),
+        (b"seed = 1\n# caf\xe9\n", r"c\.toml, line 2: not UTF-8 text \(save it as UTF-8\)"),
+        ("seed = 1".encode("utf-16"), r"c\.toml, line 1: not UTF-8 text"),
+        (b"\x1f\x8b\x08\xff", r"not UTF-8 text \(gzip-compressed; unpack it"),
+        (b"version https://git-lfs.github.com/spec/v1\n", r"not TOML \(a Git LFS pointer"),
+        (b"seed = 1\nseed = 2\n", r"not TOML \(Cannot overwrite a value \(at line 2"),
+        (b"seed = 1\n\x00", r"not TOML \(.*line 2"),
+        (b"plan-on = 'fused'\nplan_on = 'fused'\n", r"plan_on is given twice"),
+        (b"#" * (1 << 20) + b"\n", r"larger than 1 MiB"),
+    ],
+    ids=lambda value: "" if isinstance(value, bytes) else None,
+)
+def test_what_is_wrong_with_a_file_is_named_with_its_line(
+    tmp_path: Path, content: bytes, said: str
+) -> None:
+    (tmp_path / "c.toml").write_bytes(content)
+    with pytest.raises(ConfigError, match=said) as caught:
+        read_toml(tmp_path / "c.toml")
+    assert len(str(caught.value)) < 1000
+
+
+@pytest.mark.parametrize(
+    "content", [b"\xef\xbb\xbfseed = 5\n", b"# a\r\nseed = 5\r\n"], ids=["mark", "Windows"]
+)
+def test_files_of_windows_are_read(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "c.toml").write_bytes(content)
+    assert read_toml(tmp_path / "c.toml") == {"seed": 5}
+
+
+@pytest.mark.parametrize("name", ["/dev/zero", "/proc", "nowhere.toml", "a\0b"])
+def test_what_is_no_file_is_named(name: str) -> None:
+    with pytest.raises(ConfigError, match=r"larger than 1 MiB|cannot be read"):
+        read_toml(Path(name))
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"seed = 0x" + b"f" * 5000, "seed = a number of thousands of digits: should"),
+        (b"seed." + b"a." * 20_000 + b"b = 1", "seed = something nested too deeply: should"),
+        (b"planner = '" + b"x" * 10_000 + b"'", r"planner = 'x{79}\.\.\.: should"),
+    ],
+    ids=["digits", "depth", "length"],
+)
+def test_a_value_is_shown_as_far_as_it_can_be(tmp_path: Path, content: bytes, said: str) -> None:
+    (tmp_path / "c.toml").write_bytes(content)
+    with pytest.raises(ConfigError, match=said):
+        RunConfig.of(read_toml(tmp_path / "c.toml"))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drawing import draw
-from mapreplay.errors import LogError
+from mapreplay.errors import ExistsError, LogError, WriteError
 from mapreplay.recorders import export
 from mapreplay.recorders.export import export_arrays, export_images, shade, shade_prediction
 from mapreplay.recorders.log.reader import EpisodeLog
@@ -104,9 +104,9 @@ def test_nothing_is_overwritten_without_force(blurred: Recorded, tmp_path: Path)
     log = EpisodeLog(blurred.path)
     for name in ("a.npz", "truth.png"):
         (tmp_path / name).write_bytes(b"mine")
-    with pytest.raises(LogError, match=r"a\.npz: exists.*--force"):
+    with pytest.raises(ExistsError, match=r"a\.npz: exists.*--force"):
         export_arrays(log, tmp_path / "a.npz")
-    with pytest.raises(LogError, match=r"truth\.png: exists.*--force"):
+    with pytest.raises(ExistsError, match=r"truth\.png: exists.*--force"):
         export_images(log, tmp_path, [0])
     assert {p.read_bytes() for p in tmp_path.iterdir()} == {b"mine"}
     export_arrays(log, tmp_path / "a.npz", force=True)
@@ -130,7 +130,7 @@ def test_impossible_pictures_are_refused(
 def test_a_folder_that_cannot_be_is_a_clear_error(blurred: Recorded, tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"")
     log = EpisodeLog(blurred.path)
-    with pytest.raises(LogError, match=r"cannot be written \(.+\)"):
+    with pytest.raises(WriteError, match=r"cannot be written \(.+\)"):
         export_arrays(log, tmp_path / "file" / "a.npz")
-    with pytest.raises(LogError, match=r"cannot be written \(.+\)"):
+    with pytest.raises(ExistsError, match="file: is a file, or in one; name a folder"):
         export_images(log, tmp_path / "file", [0])

@@ -23,7 +23,7 @@ from drawing import plan
 from fakes import NoisyPredictor
 from mapreplay.config import EpisodeConfig
 from mapreplay.episode import Episode, prepare_episode, run_episode
-from mapreplay.errors import LogError, UsageError
+from mapreplay.errors import ExistsError, LogError, UsageError, WriteError
 from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from mapreplay.recorders.pictures.annotations import Mark
 from mapreplay.recorders.pictures.layers import cell_classes, decision_words, error_classes, rays_of
@@ -341,7 +341,7 @@ def test_a_file_is_only_overwritten_by_force(
 ) -> None:
     path = tmp_path / "x.rrd"
     path.write_text("precious")
-    with pytest.raises(LogError, match="already there; use --force"):
+    with pytest.raises(ExistsError, match="exists; choose another name"):
         save_rrd(path, [Replay(episode.header, steps)])
     assert path.read_text() == "precious"
     save_rrd(path, [Replay(episode.header, steps)], force=True)
@@ -363,10 +363,10 @@ def test_a_file_is_written_whole_or_not_at_all(
 def test_a_file_that_cannot_be_written_is_a_clear_error(
     episode: Episode, steps: list[Step], tmp_path: Path
 ) -> None:
-    with pytest.raises(LogError, match=r"x\.rrd: cannot be written \(No such file or directory\)"):
+    with pytest.raises(WriteError, match=r"x\.rrd: cannot be written \(no folder .+\)"):
         save_rrd(tmp_path / "nowhere" / "x.rrd", [Replay(episode.header, steps)])
     (tmp_path / "folder").mkdir()
-    with pytest.raises(LogError, match=r"folder: cannot be written \(Is a directory\)"):
+    with pytest.raises(ExistsError, match="folder: is a folder; name a file"):
         save_rrd(tmp_path / "folder", [Replay(episode.header, steps)], force=True)
 
 

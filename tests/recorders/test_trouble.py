@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from mapreplay.errors import LogError
+from mapreplay.errors import ExistsError, LogError, WriteError
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.writer import EpisodeWriter
 from recordings import Recorded
@@ -24,7 +24,7 @@ from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from recordings import three_rooms
 from mapreplay.episode import run_episode
-from mapreplay.errors import LogError
+from mapreplay.errors import WriteError
 from mapreplay.recorders.log.writer import EpisodeWriter
 
 episode = three_rooms(predictor="blur")
@@ -32,7 +32,7 @@ try:
     with EpisodeWriter(Path(sys.argv[2]), episode.header) as writer:
         for step in run_episode(episode):
             writer.write(step)
-except LogError as error:
+except WriteError as error:
     print(error)
 """
 
@@ -83,7 +83,7 @@ def test_a_folder_that_cannot_be_written_is_a_clear_error(blurred: Recorded) -> 
     if not Path("/proc/self").exists():
         pytest.skip("there is no folder here that even root cannot write to")
     for folder in (Path("/proc"), Path("/proc/self/runs")):
-        with pytest.raises(LogError, match=r"a\.mcap\.part: cannot be written \(.+\)"):
+        with pytest.raises(WriteError, match=r"cannot be written \(.+\)"):
             EpisodeWriter(folder / "a.mcap", blurred.header)
 
 
@@ -95,7 +95,7 @@ def test_a_read_only_folder_is_a_clear_error(blurred: Recorded) -> None:
         if as_root:
             os.seteuid(NOBODY)  # root may write everywhere
         try:
-            with pytest.raises(LogError, match=r"cannot be written \(Permission denied\)"):
+            with pytest.raises(WriteError, match=r"cannot be written \(Permission denied\)"):
                 EpisodeWriter(folder / "a.mcap", blurred.header)
         finally:
             if as_root:
@@ -130,7 +130,7 @@ def test_a_second_writer_is_refused_even_with_force(other_writer: Path, blurred:
 def test_what_a_dead_writer_left_can_be_overwritten(blurred: Recorded, tmp_path: Path) -> None:
     part = tmp_path / "a.mcap.part"
     part.write_bytes(b"left over" * 100_000)
-    with pytest.raises(LogError, match=r"an interrupted recording left it: .*mapreplay recover"):
+    with pytest.raises(ExistsError, match=r"an interrupted recording left it: .*mapreplay recover"):
         EpisodeWriter(tmp_path / "a.mcap", blurred.header)
     with EpisodeWriter(tmp_path / "a.mcap", blurred.header, profile=True, force=True) as writer:
         for step in blurred.steps:

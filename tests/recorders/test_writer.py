@@ -12,7 +12,7 @@ import pytest
 from mcap.reader import make_reader
 
 from mapreplay.episode import run_episode
-from mapreplay.errors import LogError
+from mapreplay.errors import ExistsError, LogError, WriteError
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.step import differences
@@ -112,11 +112,11 @@ for step in run_episode(episode):
 def test_nothing_is_overwritten_without_force(blurred: Recorded, tmp_path: Path) -> None:
     path, part = tmp_path / "a.mcap", tmp_path / "a.mcap.part"
     path.write_bytes(b"mine")
-    with pytest.raises(LogError, match=r"a\.mcap: exists; .* --force"):
+    with pytest.raises(ExistsError, match=r"a\.mcap: exists; .* --force"):
         EpisodeWriter(path, blurred.header)
     path.unlink()
     part.write_bytes(b"mine")
-    with pytest.raises(LogError, match=r"a\.mcap\.part: exists; .* --force"):
+    with pytest.raises(ExistsError, match=r"a\.mcap\.part: exists; .* --force"):
         EpisodeWriter(path, blurred.header)
     assert part.read_bytes() == b"mine"
 
@@ -129,7 +129,7 @@ def test_a_file_that_appeared_meanwhile_is_not_overwritten(
     for step in blurred.steps:
         writer.write(step)
     path.write_bytes(b"mine")
-    with pytest.raises(LogError, match=r"a\.mcap: exists"):
+    with pytest.raises(ExistsError, match=r"a\.mcap: exists"):
         writer.close()
     assert path.read_bytes() == b"mine"
     assert EpisodeLog(writer.part).finished
@@ -179,7 +179,7 @@ def test_closing_twice_is_harmless(tmp_path: Path) -> None:
 
 def test_a_folder_that_is_a_file_is_a_clear_error(blurred: Recorded, tmp_path: Path) -> None:
     (tmp_path / "runs").write_bytes(b"")
-    with pytest.raises(LogError, match=r"a\.mcap\.part: cannot be written \(.+\)") as caught:
+    with pytest.raises(ExistsError, match=r"runs: is a file, or in one") as caught:
         EpisodeWriter(tmp_path / "runs" / "a.mcap", blurred.header)
     assert "\n" not in str(caught.value)
 
@@ -212,7 +212,7 @@ def test_a_full_disk_is_a_clear_error(
     writer = EpisodeWriter(tmp_path / "a.mcap", blurred.header)
     for step in blurred.steps[:39]:
         writer.write(step)
-    with pytest.raises(LogError, match=r"a\.mcap\.part: cannot be written \(No space left"):
+    with pytest.raises(WriteError, match=r"a\.mcap\.part: cannot be written \(No space left"):
         writer.write(blurred.steps[39])
     monkeypatch.undo()
     assert len(EpisodeLog(tmp_path / "a.mcap.part")) == 20

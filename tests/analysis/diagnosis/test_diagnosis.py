@@ -30,7 +30,7 @@ from mapreplay.analysis.diagnosis.record import diagnosis_path, record_of, save_
 from mapreplay.analysis.diagnosis.remedy import threshold_of_free, threshold_of_walls
 from mapreplay.analysis.diagnosis.tables import all_tables
 from mapreplay.episode import run_episode
-from mapreplay.errors import LogError
+from mapreplay.errors import ExistsError
 from mapreplay.foreign import ForeignEpisode, unknown_floor_plan
 from mapreplay.grid import OCCUPIED, UNKNOWN, Cell
 from mapreplay.mapping import PredictionDtype, Thresholds, fuse, quantize
@@ -424,7 +424,7 @@ def test_the_json_has_all_of_it(diagnosis: Diagnosis, tmp_path: Path) -> None:
     assert json.loads(path.read_text()) == record
     save_beside(log, record)  # again: the same
     path.write_text("mine")
-    with pytest.raises(LogError, match="is no diagnosis"):
+    with pytest.raises(ExistsError, match="is no diagnosis"):
         save_beside(log, record)
 
 

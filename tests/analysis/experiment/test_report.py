@@ -114,7 +114,7 @@ def test_an_experiment_leaves_the_parts_and_figures_of_another_alone(tmp_path: P
 
 
 def test_a_page_that_cannot_be_updated_is_named(tmp_path: Path) -> None:
-    with pytest.raises(MapreplayError, match=r"page.md: cannot be updated"):
+    with pytest.raises(MapreplayError, match=r"page.md: cannot be read"):
         update_page(tmp_path / "page.md", {})
     (tmp_path / "page.md").write_text("<!-- begin a -->")
     with pytest.raises(MapreplayError, match=r"has no <!-- end a -->"):

@@ -1,0 +1,111 @@
+"""Standard streams as they are found: closed, full, read by nobody, or of another encoding."""
+
+from __future__ import annotations
+
+import codecs
+import errno
+import io
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Final, TextIO
+
+from mapreplay.errors import WriteError
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
+
+_PLAIN: Final = "mapreplay.plain"
+"""What is done about characters that an encoding does not have, by name; see `codecs`."""
+_PLAINER: Final = {"─": "-", "…": "...", "→": "->", "≤": "<=", "≥": ">="}
+STDIN: Final = 0
+STDOUT: Final = 1
+STDERR: Final = 2
+
+
+@contextmanager
+def standard_streams() -> Iterator[None]:
+    """Within the block, ``sys.stdout`` and ``sys.stderr`` fail in no other way than these.
+
+    What the encoding does not have is written in a plainer way, or as an escape. Where stdout
+    cannot be written, the first attempt raises a WriteError, or BrokenPipeError if its reader has
+    gone, and all that follows is dropped, so that there is no second complaint at the end. What
+    cannot be written to stderr is dropped: there is nobody left to be told.
+    """
+    _open_closed()
+    found = sys.stdout, sys.stderr
+    sys.stdout = _text(_Stdout(STDOUT, "wb", closefd=False), found[0])
+    sys.stderr = _text(_Stderr(STDERR, "wb", closefd=False), found[1])
+    try:
+        yield
+    finally:
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(WriteError, BrokenPipeError):  # it was told, or something worse was
+                stream.flush()
+        sys.stdout, sys.stderr = found
+
+
+def _open_closed() -> None:
+    """Open the standard streams that are closed, lest the next file that is opened becomes one.
+
+    What is written to stdout then fails, because that one is opened to be read only.
+    """
+    for descriptor, mode in ((STDIN, os.O_RDONLY), (STDOUT, os.O_RDONLY), (STDERR, os.O_WRONLY)):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            opened = os.open(os.devnull, mode)
+            if opened != descriptor:
+                os.dup2(opened, descriptor)
+                os.close(opened)
+
+
+class _Stdout(io.FileIO):
+    """Bytes to stdout; after an error they are dropped."""
+
+    _failed = False
+
+    def write(self, data: ReadableBuffer, /) -> int:
+        if self._failed:
+            return memoryview(data).nbytes
+        try:
+            return super().write(data) or 0
+        except BrokenPipeError:
+            self._failed = True
+            raise
+        except OSError as error:
+            self._failed = True
+            reason = "it is closed" if error.errno == errno.EBADF else error.strerror
+            raise WriteError(f"stdout: cannot be written ({reason})") from None
+
+
+class _Stderr(io.FileIO):
+    """Bytes to stderr, as far as there is one."""
+
+    def write(self, data: ReadableBuffer, /) -> int:
+        try:
+            return super().write(data) or 0
+        except OSError:
+            return memoryview(data).nbytes
+
+
+def _plainer(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    lost = error.object[error.start : error.end]
+    plain = (_PLAINER.get(c) or c.encode("ascii", "backslashreplace").decode() for c in lost)
+    return "".join(plain), error.end
+
+
+codecs.register_error(_PLAIN, _plainer)
+
+
+def _text(raw: io.FileIO, found: TextIO | None) -> io.TextIOWrapper:
+    """`raw` for text, in the encoding of what was `found` in its place."""
+    return io.TextIOWrapper(
+        io.BufferedWriter(raw),
+        encoding=getattr(found, "encoding", None) or "utf-8",
+        errors=_PLAIN,
+        line_buffering=isinstance(raw, _Stderr) or raw.isatty(),
+    )
