@@ -14,6 +14,7 @@ from mapreplay.analysis.episodes.corpus import LoggedEpisode
 from mapreplay.analysis.pool import map_unordered
 from mapreplay.errors import MapreplayError
 from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.text import printable
 
 
 @dataclass(frozen=True)
@@ -74,8 +75,8 @@ def _diff(pair: tuple[LoggedEpisode, LoggedEpisode]) -> PairDiff | MapreplayErro
         difference=time_b - time_a,
         f1_a=a.row.f1,
         f1_b=b.row.f1,
-        file_a=str(a.path),
-        file_b=str(b.path),
+        file_a=printable(str(a.path)),
+        file_b=printable(str(b.path)),
     )
 
 

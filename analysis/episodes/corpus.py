@@ -22,6 +22,7 @@ from mapreplay.errors import MapreplayError
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.state import LogState, by_step
 from mapreplay.step import EpisodeHeader, Mode
+from mapreplay.text import printable
 
 
 class Place(NamedTuple):
@@ -87,7 +88,7 @@ def read_episode(path: Path) -> LoggedEpisode:
     return LoggedEpisode(
         path=log.path,
         header=log.header,
-        row=summarize(log, str(log.path)),
+        row=summarize(log, printable(str(log.path))),
         coverage=curve(f"coverage_{built}"),
         correct=curve(f"correct_coverage_{built}"),
         f1=curve("f1"),

@@ -17,6 +17,7 @@ from mapreplay.errors import UsageError
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.state import by_step
 from mapreplay.step import Mode
+from mapreplay.text import printable
 
 UNFINISHED: Final = "unfinished"
 WIDTH: Final = 16
@@ -64,7 +65,7 @@ def episode_row(path: Path) -> EpisodeRow:
     Raises:
         LogError: it cannot be read.
     """
-    return summarize(EpisodeLog(path), str(path))
+    return summarize(EpisodeLog(path), printable(str(path)))
 
 
 def summarize(log: EpisodeLog, file: str) -> EpisodeRow:

@@ -18,6 +18,7 @@ from mapreplay.analysis.pool import map_unordered
 from mapreplay.errors import LogError, MapreplayError
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.state import LogState
+from mapreplay.text import printable
 
 
 @dataclass(frozen=True)
@@ -34,12 +35,12 @@ class MeasuredLog:
     def steps(self) -> pl.LazyFrame:
         """One row a step, with the log's ``file`` in front; read when it is collected."""
         frame = pl.scan_parquet(self.stored.steps)
-        return frame.select(pl.lit(str(self.log)).alias("file"), pl.all())
+        return frame.select(pl.lit(printable(str(self.log))).alias("file"), pl.all())
 
     def episode(self) -> pl.DataFrame:
         """One row, see `episode_metrics`."""
         frame = pl.read_parquet(self.stored.episode)
-        return frame.with_columns(pl.lit(str(self.log)).alias("file"))
+        return frame.with_columns(pl.lit(printable(str(self.log))).alias("file"))
 
 
 @dataclass(frozen=True)

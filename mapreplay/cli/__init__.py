@@ -11,6 +11,7 @@ import os
 import signal
 import sys
 from contextlib import suppress
+from pathlib import Path
 from typing import Annotated, Final
 
 import typer
@@ -137,6 +138,8 @@ def _unexpected(error: BaseException) -> str:
     """What is said of an error that nobody foresaw where it arose."""
     if isinstance(error, MemoryError):
         return "out of memory; give it more, or less to do at a time"
+    if isinstance(error, FileNotFoundError) and not _is_folder_there():
+        return "the folder that this was started in is no longer there; change to another one"
     if isinstance(error, OSError) and error.strerror:
         where = f"{error.filename}: " if error.filename else ""
         return f"{where}{error.strerror}"
@@ -144,6 +147,14 @@ def _unexpected(error: BaseException) -> str:
         f"internal error, {type(error).__name__}: {error}; please report it, with what is printed "
         f"if {DEBUG}=1 is set"
     )
+
+
+def _is_folder_there() -> bool:
+    try:
+        Path.cwd()
+    except FileNotFoundError:
+        return False
+    return True
 
 
 def _fail(line: str, code: int) -> int:

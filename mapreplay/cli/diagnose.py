@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mapreplay.cli.logs import PathsArgument, WhereOption, choose
+from mapreplay.cli.logs import PathsArgument, WhereOption, read_episodes
 from mapreplay.cli.output import (
     LOST,
     ForceOption,
@@ -22,6 +22,7 @@ from mapreplay.cli.output import (
 )
 from mapreplay.errors import LogError, MapreplayError, UsageError
 from mapreplay.files import write_whole
+from mapreplay.text import printable
 
 if TYPE_CHECKING:
     from mapreplay.analysis.diagnosis.diagnosis import Diagnosis
@@ -70,7 +71,11 @@ def diagnose(
         note(f"written: {html}")
     if form in (Format.CSV, Format.PARQUET):
         emit(
-            sealing_frame(list(diagnoses), found), "mapreplay.sealings/1", form, output, force=force
+            sealing_frame(list(map(printable, diagnoses)), found),
+            "mapreplay.sealings/1",
+            form,
+            output,
+            force=force,
         )
     elif form is Format.JSON:
         _emit_json(diagnoses, output, force=force)
@@ -107,15 +112,14 @@ def _diagnose(paths: list[Path], where: list[str] | None) -> tuple[dict[str, Dia
     from mapreplay.cli.progress import progress_bar
     from mapreplay.recorders.log.reader import EpisodeLog
 
-    rows, lost = choose(paths, where)
+    episodes, lost = read_episodes(paths, where)
     diagnoses: dict[str, Diagnosis] = {}
     problems = []
     with progress_bar() as bar:
-        task = bar.add_task("logs", total=len(rows))
-        for row in rows:
+        task = bar.add_task("logs", total=len(episodes))
+        for episode in episodes:
             try:
-                log = EpisodeLog(Path(row.file))
-                diagnoses[row.file] = diagnose_log(log)
+                diagnoses[str(episode.path)] = diagnose_log(EpisodeLog(episode.path))
             except MapreplayError as error:
                 problems.append(str(error))
             bar.advance(task)
@@ -147,7 +151,7 @@ def _emit_json(diagnoses: dict[str, Diagnosis], output: Path | None, *, force: b
 
     found = list(diagnoses.values())
     claims = corpus_claims(found)
-    records = [{"file": file} | record_of(d, claims) for file, d in diagnoses.items()]
+    records = [{"file": printable(file)} | record_of(d, claims) for file, d in diagnoses.items()]
     if len(records) == 1:
         data = to_json(records[0])
     else:

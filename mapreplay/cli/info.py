@@ -11,6 +11,7 @@ from mapreplay.cli.output import (
     check_outputs,
     emit,
 )
+from mapreplay.text import printable
 
 
 def info(
@@ -55,7 +56,7 @@ def info(
             ("branch", "changes", ", ".join(header.branch.changes)),
         ]
     facts += [("version", name, version) for name, version in header.versions]
-    row = summarize(opened, str(opened.path))
+    row = summarize(opened, printable(str(opened.path)))
     # An unfinished log has no end yet.
     facts += [] if not opened.finished else [
         (

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from mapreplay.cli.logs import PathsArgument, WhereOption, choose, tell_same, tell_states
+from mapreplay.cli.logs import PathsArgument, WhereOption, read_episodes, tell_same, tell_states
 from mapreplay.cli.output import (
     LOST,
     ForceOption,
@@ -93,8 +93,8 @@ def metrics(
     scope = Scope(UnknownAs(unknown_as), everywhere=region == "all")
     unreadable = 0
     if where:
-        rows, unreadable = choose(paths, where)
-        logs = [Path(row.file) for row in rows]
+        chosen, unreadable = read_episodes(paths, where)
+        logs = [episode.path for episode in chosen]
     else:
         logs = find_logs(paths)
     if not logs:

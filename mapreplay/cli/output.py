@@ -6,6 +6,7 @@ import io
 import json
 import math
 import shlex
+import shutil
 import sys
 import tempfile
 import textwrap
@@ -13,13 +14,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, TypeAlias
+from typing import IO, TYPE_CHECKING, Annotated, Final, TypeAlias
 
 import typer
 
-from mapreplay.errors import UsageError
-from mapreplay.files import check_new, write_whole
-from mapreplay.text import printable
+from mapreplay.errors import UsageError, WriteError
+from mapreplay.files import check_new, whole_path, write_whole
+from mapreplay.text import one_line, printable
 
 if TYPE_CHECKING:
     import polars as pl
@@ -102,12 +103,14 @@ def emit_parts(
     if form is Format.TABLE:
         _deliver_text(text.collect(), output, force=force)
     elif form is Format.PARQUET:
-        import polars as pl
-
+        if output is not None:
+            with whole_path(output, force=force) as draft, draft.open("wb") as file:
+                _sink_parquet(parts, file, str(output))
+            return
         with tempfile.TemporaryFile() as file:
-            pl.concat(parts).sink_parquet(file)
+            _sink_parquet(parts, file, tempfile.gettempdir())
             file.seek(0)
-            _deliver(iter(lambda: file.read(1 << 20), b""), output, force=force)
+            _deliver(iter(lambda: file.read(1 << 20), b""), None, force=force)
     elif form is Format.CSV:
         frames = (part.collect() for part in parts)
         _deliver(
@@ -117,6 +120,15 @@ def emit_parts(
         )
     else:
         _deliver(_json_parts(parts, schema), output, force=force)
+
+
+def _sink_parquet(parts: Sequence[pl.LazyFrame], file: IO[bytes], where: str) -> None:
+    import polars as pl
+
+    try:
+        pl.concat(parts).sink_parquet(file)
+    except pl.exceptions.ComputeError as error:  # also of a full disk
+        raise WriteError(f"{where}: cannot be written ({one_line(error)})") from None
 
 
 def check_outputs(*paths: Path | None, force: bool) -> None:
@@ -256,9 +268,9 @@ def _text_table(frame: pl.DataFrame, *, wide: bool) -> str:
         table.add_row(*map(_text_value, row))
     buffer = io.StringIO()
     terminal = sys.stdout.isatty() and not wide
-    console = Console(
-        file=buffer, force_terminal=terminal, width=None if terminal else 200, highlight=False
-    )
+    # A terminal that is narrower breaks the lines: better than letters below each other.
+    width = max(shutil.get_terminal_size().columns, WIDTH) if terminal else 200
+    console = Console(file=buffer, force_terminal=terminal, width=width, highlight=False)
     if title:
         console.print(title)
     console.print(table)

@@ -19,6 +19,7 @@ from mapreplay.cli.output import (
     note,
 )
 from mapreplay.errors import LogError, MapreplayError
+from mapreplay.text import printable
 
 if TYPE_CHECKING:
     from mapreplay.recorders.log.recover import Recovered
@@ -65,7 +66,9 @@ def recover(
         if saved.tail is not None:
             note(f"{path}: {saved.tail}")
         lost |= not saved.whole or saved.tail is not None
-        rows.append((str(path), str(saved.path), saved.steps, _missing(saved)))
+        rows.append(
+            (printable(str(path)), printable(str(saved.path)), saved.steps, _missing(saved))
+        )
         if remove and (saved.damages or saved.tail):
             note(f"{path}: kept, because not all of it could be read")
         elif remove:

@@ -20,6 +20,7 @@ from mapreplay.cli.output import (
     note,
 )
 from mapreplay.errors import MapreplayError, PluginError, UsageError
+from mapreplay.text import printable
 
 if TYPE_CHECKING:
     import polars as pl
@@ -65,10 +66,10 @@ def verify(
         try:
             log = EpisodeLog(path)
             if conditions:
-                row = summarize(log, str(path))
+                row = summarize(log, printable(str(path)))
                 if not all(condition.holds(row) for condition in conditions):
                     continue
-            results[str(log.path)] = check(log)
+            results[printable(str(log.path))] = check(log)
         except PluginError as error:  # what the log names is not here
             problems.append(f"{path}: {error}")
             continue

@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from mapreplay.errors import LogError
+from mapreplay.errors import LogError, WriteError
 from mapreplay.files import check_new, whole_path
 from mapreplay.recorders.log.find import whereabouts
 from mapreplay.recorders.log.lock import is_locked
@@ -81,7 +81,10 @@ def recover(source: Path, *, force: bool = False) -> Recovered | None:
     check_new(path, force=force)
     log = SalvagedLog(source)
     with whole_path(path, force=force) as draft:
-        numbers, outcome = _write(log, draft)
+        try:
+            numbers, outcome = _write(log, draft)
+        except WriteError as error:  # nobody has heard of the draft
+            raise WriteError(str(error).replace(f"{draft}.part", str(path))) from None
     return Recovered(
         path=path,
         steps=len(numbers),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from functools import lru_cache
 from itertools import chain
 from pathlib import Path
@@ -78,14 +79,20 @@ def save_mp4(path: Path, film: Film, every: int = 1, *, force: bool = False) -> 
         LogError: as `save_png`, or this build of OpenCV cannot encode VP9.
         ExistsError, WriteError: as `save_png`.
     """
+    try:
+        str(path.parent).encode()
+    except UnicodeEncodeError:
+        raise LogError(f"{path}: OpenCV writes no names that are not UTF-8; use --gif") from None
     with whole_path(path, force=force) as draft:
         frames = film.frames(every)
         first = next(frames)
         height, width = first.shape[:2]
         # An encoder needs even numbers.
         size = (width - width % 2, height - height % 2)
+        # What FFmpeg says on stderr by itself; -8 is its "quiet".
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
         code = cv2.VideoWriter.fourcc(*"vp09")
-        writer = cv2.VideoWriter(_for_opencv(draft), cv2.CAP_FFMPEG, code, FRAMES_PER_SECOND, size)
+        writer = cv2.VideoWriter(str(draft), cv2.CAP_FFMPEG, code, FRAMES_PER_SECOND, size)
         if not writer.isOpened():
             raise LogError(f"{path}: OpenCV cannot write MP4 here; use --gif")
         written = 0
@@ -104,19 +111,12 @@ def save_mp4(path: Path, film: Film, every: int = 1, *, force: bool = False) -> 
             raise WriteError(f"{path}: cannot be written (no more than a part of it; a full disk?)")
 
 
-def _for_opencv(path: Path) -> str:
-    """`path` as OpenCV takes it."""
-    name = str(path)
-    try:
-        name.encode()
-    except UnicodeEncodeError:
-        raise LogError(f"{path}: OpenCV writes no names that are not UTF-8; use --gif") from None
-    return name
-
-
 def _frames_in(path: Path) -> int:
     """How many frames of a film can be read back."""
-    reader = cv2.VideoCapture(_for_opencv(path), cv2.CAP_FFMPEG)
+    level = cv2.utils.logging.setLogLevel(
+        cv2.utils.logging.LOG_LEVEL_SILENT
+    )  # or it says by itself that it cannot be read
+    reader = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     try:
         count = 0
         while reader.isOpened() and reader.grab():
@@ -124,6 +124,7 @@ def _frames_in(path: Path) -> int:
         return count
     finally:
         reader.release()
+        cv2.utils.logging.setLogLevel(level)
 
 
 def few_colours(picture: Picture) -> Image.Image:
