@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import signal
-import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import connection
+from contextlib import closing
+from functools import partial
 from typing import Final, TypeVar
 
 from mapreplay.errors import MapreplayError
-from mapreplay.recorders.batch import ignoring_interrupts
+from mapreplay.workers import Died, Said, once, run_each
 
 _T = TypeVar("_T")
 _R = TypeVar("_R")
@@ -32,54 +28,52 @@ def default_jobs(pieces: int) -> int:
 
 
 def map_unordered(
-    work: Callable[[_T], _R], items: Sequence[_T], jobs: int, ahead: int = 2
+    work: Callable[[_T], _R],
+    items: Sequence[_T],
+    jobs: int,
+    *,
+    lost: Callable[[_T, WorkerError], _R] | None = None,
+    name: Callable[[_T], str] | None = None,
 ) -> Iterator[_R]:
     """work(item) of every item, as they are done; with one job in this process.
 
-    At most `ahead` items a process are under way, so that results do not pile up. `work` must be
-    a function of a module. What it raises is raised here and ends the rest; where the rest
-    matters, what it returns should say what went wrong. Closing the generator ends the processes
-    after the item that each is at.
+    Results do not pile up: a process has at most one item in advance. `work` must be a function
+    of a module. What it raises is raised here and ends the rest; where the rest matters, what it
+    returns should say what went wrong. Closing the generator ends the processes, after the item
+    that each is at if that is soon.
+
+    The death of a process costs the item that it was at. All others are done first; then it is
+    raised, unless there is a result that stands for the item.
+
+    Args:
+        work: What is done.
+        items: To what.
+        jobs: Processes.
+        lost: The result of an item whose process died.
+        name: What an item is called in the error; by default its number.
 
     Raises:
-        WorkerError: a process died.
+        WorkerError: a process died, and there is no `lost`.
     """
     if jobs == 1 or len(items) < 2:
         yield from map(work, items)
         return
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(min(jobs, len(items)), context, initializer=_begin)
-    waiting, running = iter(items), set[Future[_R]]()
-    try:
-        while True:
-            with ignoring_interrupts():  # this starts processes
-                while len(running) < ahead * jobs and (item := next(waiting, None)) is not None:
-                    running.add(pool.submit(work, item))
-            if not running:
-                return
-            done, running = wait(running, return_when=FIRST_COMPLETED)
-            for future in done:
-                yield future.result()
-    except BrokenProcessPool:
-        raise WorkerError(
-            "a worker process died, perhaps for want of memory; try again with --jobs 1"
-        ) from None
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _begin() -> None:
-    """Only the parent decides what Ctrl-C means (see `mapreplay.recorders.batch`); and a worker
-    ends when its parent does, however.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if hasattr(os, "setpgid"):
-        os.setpgid(0, 0)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_end_after, args=(parent.sentinel,), daemon=True).start()
-
-
-def _end_after(sentinel: int) -> None:
-    connection.wait([sentinel])
-    os._exit(1)
+    deaths = []
+    with closing(run_each(partial(once, work), items, min(jobs, len(items)))) as events:
+        for event in events:
+            if isinstance(event, Said):
+                yield event.what
+            elif isinstance(event, Died):
+                item = items[event.item]
+                called = name(item) if name else f"item {event.item + 1} of {len(items)}"
+                error = WorkerError(
+                    f"{called}: a worker process died at it ({event.how}), perhaps for want of "
+                    "memory; try again with --jobs 1"
+                )
+                if lost is None:
+                    deaths.append(error)
+                else:
+                    yield lost(item, error)
+    if deaths:
+        more = f" (and {len(deaths) - 1} more)" if len(deaths) > 1 else ""
+        raise WorkerError(f"{deaths[0]}{more}")

@@ -7,7 +7,6 @@ idle one; the least of the rounds counts.
 from __future__ import annotations
 
 import resource
-import subprocess
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import islice
@@ -27,6 +26,7 @@ from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.recorders.pictures.replay import Replay
 from mapreplay.recorders.viewer.view import save_rrd, viewer_program
+from mapreplay.workers import Program
 
 _SMALLEST: Final = 64
 """Cells a side of a procedural floor plan."""
@@ -97,8 +97,9 @@ def measure_view(log: Path, rounds: int) -> Iterator[ViewMeasurement]:
 
         def importer() -> None:
             command = [str(viewer_program()), "mcap", "convert", str(log), "-o", str(theirs)]
-            done = subprocess.run(command, capture_output=True, check=False)  # noqa: S603
-            if done.returncode:
+            with Program(command) as program:
+                code = program.wait()
+            if code:
                 raise MapreplayError(f"rerun mcap convert failed on {log}")
 
         opened = EpisodeLog(log)

@@ -49,7 +49,9 @@ def diff_pairs(
     pairs: Sequence[tuple[LoggedEpisode, LoggedEpisode]], jobs: int = 1
 ) -> Iterator[PairDiff | MapreplayError]:
     """Compare each pair; results come as they are done, errors of reading among them."""
-    return map_unordered(_diff, pairs, jobs)
+    return map_unordered(
+        _diff, pairs, jobs, lost=lambda _, error: error, name=lambda pair: str(pair[0].path)
+    )
 
 
 def _diff(pair: tuple[LoggedEpisode, LoggedEpisode]) -> PairDiff | MapreplayError:

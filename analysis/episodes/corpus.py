@@ -112,7 +112,7 @@ class Unreadable:
 
 def read_corpus(paths: Sequence[Path], jobs: int = 1) -> Iterator[LoggedEpisode | Unreadable]:
     """`read_episode` of every path, as they are done; what cannot be read is a result, too."""
-    return map_unordered(_read, paths, jobs)
+    return map_unordered(_read, paths, jobs, lost=Unreadable, name=str)
 
 
 def _read(path: Path) -> LoggedEpisode | Unreadable:

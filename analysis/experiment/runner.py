@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Sequence
-from typing import Final
 
 from mapreplay.analysis.experiment.jobs import Job, identity, run_job
 from mapreplay.analysis.experiment.rows import Row, RowFile
 from mapreplay.analysis.pool import WorkerError, map_unordered
 from mapreplay.errors import MapreplayError
-
-QUEUED_PER_PROCESS: Final = 8
-"""Jobs that wait in each process's queue: enough to keep it busy, few enough to stop soon."""
 
 
 def jobs_left(jobs: Sequence[Job], file: RowFile) -> list[Job]:
@@ -55,11 +51,15 @@ def run_jobs(
 
 def _in_processes(jobs: Sequence[Job], processes: int) -> Iterator[list[Row]]:
     try:
-        yield from map_unordered(_work, jobs, processes, ahead=QUEUED_PER_PROCESS)
-    except WorkerError:
+        yield from map_unordered(_work, jobs, processes, name=_name)
+    except WorkerError as error:
         raise MapreplayError(
-            "a worker process died; what it finished is kept, repeat the command to go on"
+            f"{error}; all other episodes are kept, repeat the command to go on"
         ) from None
+
+
+def _name(job: Job) -> str:
+    return f"{job.config.planner} on {job.floor_plan.id}, seed {job.config.seed}"
 
 
 def _work(job: Job) -> list[Row]:

@@ -188,7 +188,13 @@ def measure_limits(
     floor_plans: Sequence[FloorPlan], question: Question, jobs: int = 1
 ) -> Iterator[list[PlanLimit] | MapreplayError]:
     """The limits of each floor plan, as they are done; an error is a result, too."""
-    return map_unordered(_measured, [(plan, question) for plan in floor_plans], jobs)
+    return map_unordered(
+        _measured,
+        [(plan, question) for plan in floor_plans],
+        jobs,
+        lost=lambda _, error: error,
+        name=lambda work: work[0].id,
+    )
 
 
 def _measured(work: tuple[FloorPlan, Question]) -> list[PlanLimit] | MapreplayError:

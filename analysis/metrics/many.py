@@ -14,7 +14,7 @@ from mapreplay.analysis.metrics.measure import Scope, measure_log
 from mapreplay.analysis.metrics.per_episode import episode_metrics
 from mapreplay.analysis.metrics.registry import load_metric
 from mapreplay.analysis.metrics.store import Store, Stored
-from mapreplay.analysis.pool import map_unordered
+from mapreplay.analysis.pool import WorkerError, map_unordered
 from mapreplay.errors import LogError, MapreplayError
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.state import LogState
@@ -69,13 +69,13 @@ def measure_logs(
 
     Raises:
         PluginError: a further metric is unknown or broken.
-        MapreplayError: a worker process died, or the store cannot be written.
+        MapreplayError: the store cannot be written.
     """
     for name in metrics:
         load_metric(name)
     work = partial(_measure, store=store, scope=scope or Scope(), metrics=tuple(metrics))
-    for result in map_unordered(work, logs, jobs):
-        if isinstance(result, Unmeasured) and not isinstance(result.error, LogError):
+    for result in map_unordered(work, logs, jobs, lost=Unmeasured, name=str):
+        if isinstance(result, Unmeasured) and not isinstance(result.error, LogError | WorkerError):
             raise result.error
         yield result
 

@@ -25,6 +25,7 @@ from mapreplay.recorders.viewer.columns import EpisodeColumns, send_episode, sen
 from mapreplay.recorders.viewer.layout import TIMELINE, Pane, application_id, layout
 from mapreplay.recorders.viewer.static import send_legend, send_parting
 from mapreplay.step import EpisodeHeader, Step
+from mapreplay.workers import Program
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
@@ -195,7 +196,7 @@ def require_display(platform: str, environment: Mapping[str, str]) -> None:
 class WebServer:
     """Rerun's web viewer and the gRPC server that feeds it, reachable from this machine only.
 
-    Both end when this is closed.
+    Both end when this is closed, and with this process, however it ends.
 
     Args:
         web_port: of the page; None takes a free one.
@@ -211,23 +212,22 @@ class WebServer:
         self._grpc_address = _grpc_address(grpc)
         self.address = f"http://{LOOPBACK}:{web}?url={quote(self._grpc_address, safe='')}"
         # The SDK's own servers listen on every interface, and cannot be told otherwise.
-        self._process = _viewer(
+        options = (
             "--serve-web",
             f"--web-viewer-port={web}",
             f"--port={grpc}",
             "--server-memory-limit=50%",
         )
+        self._program = Program(_command(*options), _environment())
         try:
-            _await(lambda: self._ended or (_answers(web) and _answers(grpc)), "the web server")
-            if self._ended:
+            _await(
+                lambda: self._program.ended or (_answers(web) and _answers(grpc)), "the web server"
+            )
+            if self._program.ended:
                 raise MapreplayError("the web server ended at once; use --save FILE.rrd")
         except BaseException:
             self.close()
             raise
-
-    @property
-    def _ended(self) -> bool:
-        return self._process.poll() is not None
 
     def connect(self, recording: rr.RecordingStream, blueprint: rrb.Blueprint) -> None:
         """The `Sink` that sends to this server."""
@@ -235,16 +235,11 @@ class WebServer:
 
     def wait(self) -> None:
         """Return when the server has ended."""
-        self._process.wait()
+        self._program.wait()
 
     def close(self) -> None:
         """End the server."""
-        self._process.terminate()
-        try:
-            self._process.wait(timeout=5)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        self._program.close()
 
     def __enter__(self) -> Self:
         return self
@@ -323,14 +318,23 @@ def new_recording(replays: Sequence[Replay], panes: Sequence[Pane]) -> rr.Record
 
 
 def _viewer(*arguments: str) -> subprocess.Popen[bytes]:
-    """Start the viewer's program, listening on loopback only: its default is every interface."""
+    """Start the viewer's program, which stays when we end: a window that the user closes."""
     return subprocess.Popen(  # noqa: S603
-        [viewer_program(), f"--bind={LOOPBACK}", *arguments],
+        _command(*arguments),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        env={**os.environ, "RERUN_APP_ONLY": "true"},
+        env=_environment(),
     )
+
+
+def _command(*arguments: str) -> list[str | Path]:
+    """The viewer's program, listening on loopback only: its default is every interface."""
+    return [viewer_program(), f"--bind={LOOPBACK}", *arguments]
+
+
+def _environment() -> dict[str, str]:
+    return {**os.environ, "RERUN_APP_ONLY": "true"}
 
 
 def viewer_program() -> Path:

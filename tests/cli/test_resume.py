@@ -115,7 +115,7 @@ def test_after_a_worker_was_killed_the_run_says_how_to_go_on_and_can(
     os.kill(worker.pid, signal.SIGKILL)
     _, err = process.communicate(timeout=120)
     assert process.returncode == 1
-    assert "its worker process died (exit code -9)" in err
+    assert "its worker process died (killed by SIGKILL)" in err
     assert (
         f"1 of 6 episodes failed; to go on, repeat the command with --resume --out {tmp_path}"
         in err

@@ -407,7 +407,7 @@ def test_the_web_viewer_is_served_to_this_machine_only(
     episode: Episode, steps: list[Step], tmp_path: Path
 ) -> None:
     with serve_web([Replay(episode.header, steps)]) as server:
-        process = psutil.Process(server._process.pid)
+        (process,) = psutil.Process(server._program.pid).children()
         page = urllib.request.urlopen(server.address, timeout=5)
         with page:
             assert b"Rerun" in page.read()

@@ -89,7 +89,8 @@ def test_a_dead_process_is_told_and_what_was_finished_is_kept(tmp_path: Path) ->
     (template,) = jobs(1)
     deadly = [DeadlyJob("D1", plan(HOUSE, f"deadly{n}"), template.config, 0.14) for n in range(2)]
     file = RowFile(tmp_path / "rows.jsonl")
-    with pytest.raises(MapreplayError, match="a worker process died; what it finished is kept"):
+    told = r"deadly., seed 1: a worker process died at it \(exit code 9\).* other episodes are kept"
+    with pytest.raises(MapreplayError, match=told):
         run(deadly, file, processes=2)
     assert len(run(jobs_left(jobs(1), file), file)) == 2  # and it goes on
 
