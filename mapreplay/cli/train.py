@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import shlex
+import signal
 import sys
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from mapreplay.cli.output import ForceOption, note
 from mapreplay.errors import UsageError
+from mapreplay.files import check_new
+
+if TYPE_CHECKING:
+    from mapreplay.training.loop import Trainer
 
 
 def train(
@@ -91,23 +98,23 @@ def train(
         raise UsageError(f"--out {out}: should end in .safetensors")
     if validate is None and hold_out == 0:
         raise UsageError("train: give plans to validate on, by --validate SPEC or --hold-out N")
-    if out.exists() and not force:
-        raise UsageError(f"{out} exists; choose another name, or --force")
+    if not learning_rate > 0:
+        raise UsageError(f"--learning-rate {learning_rate}: should be above 0")
     checkpoint = out.with_suffix(".checkpoint")
+    for path in (out, out.with_suffix(".json")):
+        check_new(path, force=force)
+    check_new(checkpoint, force=True)
     if checkpoint.exists() and not (resume or force):
         raise UsageError(f"{checkpoint} exists; go on with --resume, or start anew with --force")
-    if not out.parent.is_dir():
-        raise UsageError(f"{out.parent}: no such folder")
 
     import torch
 
-    from mapreplay.cli.progress import progress_bar
     from mapreplay.cli.training_data import load, load_logs
     from mapreplay.floorplans import by_sha256, open_source, read_ids, select
     from mapreplay.predictors.architectures import ARCHITECTURES
     from mapreplay.predictors.weights import file_sha256, load_tensors
     from mapreplay.training.dataset import LossRegion
-    from mapreplay.training.loop import CurvePoint, Trainer, TrainingConfig, finish
+    from mapreplay.training.loop import Trainer, TrainingConfig, finish
 
     if loss_region not in list(LossRegion):
         raise UsageError(f"--loss-region {loss_region}: choose {' or '.join(LossRegion)}")
@@ -158,9 +165,38 @@ def train(
     if resume and checkpoint.exists():
         trainer.resume()
         note(f"goes on after {trainer.samples} samples")
-    with progress_bar("rate") as bar:
-        task = bar.add_task("training", total=samples, completed=trainer.samples, rate="")
-        for report in trainer.run():
+    elif resume:
+        note(f"{checkpoint}: no checkpoint, the training starts from its beginning")
+    try:
+        with _terminated_like_interrupted():
+            _train(trainer)
+            card = finish(
+                trainer,
+                out,
+                trained_on=_name(floorplans, from_logs),
+                validated_on=validate or f"{len(held)} of {hold_out} held-out plans",
+                command=shlex.join(["mapreplay", *(Path(a).name for a in sys.argv[1:])]),
+                force=force,
+            )
+    except KeyboardInterrupt:
+        there = checkpoint.exists()
+        again = f"to go on, repeat the command with --resume ({checkpoint})"
+        note(f"stopped; {again}" if there else "stopped before the first checkpoint")
+        raise
+    note(f"weights: {out} (sha256 {card.sha256[:12]}), card: {out.with_suffix('.json')}")
+    note(f"next: mapreplay run --predictor {out}")
+
+
+def _train(trainer: Trainer) -> None:
+    """Train to the end, with a bar, and the curve on stderr."""
+    from mapreplay.cli.progress import progress_bar
+    from mapreplay.training.loop import CurvePoint
+
+    with closing(trainer.run()) as reports, progress_bar("rate") as bar:
+        task = bar.add_task(
+            "training", total=trainer.config.samples, completed=trainer.samples, rate=""
+        )
+        for report in reports:
             if isinstance(report, CurvePoint):
                 note(
                     f"{report.samples:>9} samples  train {report.train_loss:.4f}  "
@@ -168,15 +204,20 @@ def train(
                 )
             else:
                 bar.update(task, completed=report)
-    card = finish(
-        trainer,
-        out,
-        trained_on=_name(floorplans, from_logs),
-        validated_on=validate or f"{len(held)} of {hold_out} held-out plans",
-        command=shlex.join(["mapreplay", *(Path(a).name for a in sys.argv[1:])]),
-    )
-    note(f"weights: {out} (sha256 {card.sha256[:12]}), card: {out.with_suffix('.json')}")
-    note(f"next: mapreplay run --predictor {out}")
+
+
+@contextmanager
+def _terminated_like_interrupted() -> Iterator[None]:
+    """A queue or service that stops a training sends SIGTERM: it ends like with Ctrl-C."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _name(floorplans: str | None, logs: list[Path] | None) -> str:

@@ -45,7 +45,12 @@ def load(what: str, source: FloorPlanSource, ids: Sequence[str], jobs: int) -> l
     refused: list[FloorPlanError] = []
     with progress_bar() as bar:
         task = bar.add_task(f"{what} plans", total=len(there))
-        for results in map_unordered(partial(_load, source), chunks, jobs):
+        for results in map_unordered(
+            partial(_load, source),
+            chunks,
+            jobs,
+            name=lambda chunk: f"{what} plans from {next(iter(chunk))} on",
+        ):
             plans += [result for result in results if isinstance(result, TrainingPlan)]
             refused += [result for result in results if isinstance(result, FloorPlanError)]
             bar.advance(task, len(results))
@@ -66,7 +71,13 @@ def load_logs(paths: Sequence[Path], apart: frozenset[str], jobs: int) -> Logged
     train: list[TrainingPlan] = []
     validate: list[TrainingPlan] = []
     with progress_bar() as bar:
-        results = map_unordered(_logged, list(enumerate(found)), jobs)
+        results = map_unordered(
+            _logged,
+            list(enumerate(found)),
+            jobs,
+            lost=lambda _, error: LogError(str(error)),
+            name=lambda numbered: str(numbered[1]),
+        )
         for result in bar.track(results, len(found), description="logs"):
             if isinstance(result, LogError):
                 note(f"left out: {result}")

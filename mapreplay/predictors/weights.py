@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import stat
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -14,6 +16,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
 from mapreplay.errors import WeightsError
+from mapreplay.files import whole_path
 
 MAX_BYTES: Final = 256 << 20
 
@@ -48,24 +51,68 @@ class ModelCard:
     """Whether they were, in its last layer."""
     curve: list[dict[str, float]] = field(default_factory=list)
 
-    def write(self, path: Path) -> None:
-        """Write as JSON."""
-        path.write_text(json.dumps(asdict(self), indent=1) + "\n", encoding="utf-8")
+    def to_json(self) -> bytes:
+        """As it is written."""
+        return (json.dumps(asdict(self), indent=1) + "\n").encode()
 
 
 def file_sha256(path: Path) -> str:
-    """Hex digest of a file's bytes."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    """Hex digest of a file's bytes.
+
+    Raises:
+        WeightsError: it cannot be read, or is not a regular file.
+    """
+    _check_regular(path)
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise WeightsError(f"{path}: cannot be read ({error.strerror or error})") from None
 
 
-def save_tensors(path: Path, tensors: Mapping[str, torch.Tensor], notes: Mapping[str, str]) -> None:
-    """Write a safetensors file, whole or not at all."""
-    part = path.with_name(path.name + ".part")
+def encode_tensors(tensors: Mapping[str, torch.Tensor], notes: Mapping[str, str]) -> bytes:
+    """A safetensors file.
+
+    Raises:
+        WeightsError: a value is not finite: nothing of that kind is ever written.
+    """
+    for name, value in tensors.items():
+        if not bool(torch.isfinite(value).all()):
+            raise WeightsError(f"{name} is not finite; is the learning rate too high?")
     flat = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
-    # Not `save_file`: what that writes only its owner may read.
-    part.write_bytes(save(flat, metadata=dict(notes)))
-    part.replace(path)
+    return save(flat, metadata=dict(notes))
+
+
+def tensors_sha256(tensors: Mapping[str, torch.Tensor]) -> str:
+    """Hex digest of names and values: safetensors files have no checksum of their own."""
+    digest = hashlib.sha256()
+    for name in sorted(tensors):
+        values = tensors[name].detach().cpu().contiguous().numpy()
+        digest.update(f"{name} {values.dtype} {values.shape}\n".encode() + values.tobytes())
+    return digest.hexdigest()
+
+
+def card_path(weights: Path) -> Path:
+    """Where the model card of weights is."""
+    return weights.with_suffix(".json")
+
+
+def save_weights(path: Path, content: bytes, card: ModelCard, *, force: bool = False) -> None:
+    """Write a safetensors file and its card: both are the new ones, or both are as they were.
+
+    Raises:
+        ExistsError, WriteError: see `mapreplay.files.whole_path`.
+    """
+    beside = card_path(path)
+    with (
+        whole_path(beside, force=force) as card_draft,
+        whole_path(path, force=force) as draft,
+    ):
+        for each, data in ((card_draft, card.to_json()), (draft, content)):
+            with each.open("xb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())  # a full disk shows here, before the first is renamed
 
 
 def load_tensors(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
@@ -75,6 +122,7 @@ def load_tensors(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
         WeightsError: missing, too large, or not a safetensors file.
     """
     try:
+        _check_regular(path)
         size = path.stat().st_size
         if size > MAX_BYTES:
             raise WeightsError(f"{path}: {size >> 20} MiB; at most {MAX_BYTES >> 20} are allowed")
@@ -99,3 +147,14 @@ def load_state(model: torch.nn.Module, tensors: Mapping[str, torch.Tensor], path
     except RuntimeError as error:
         reason = " ".join(str(error).split())[:120]
         raise WeightsError(f"{path}: not the weights of this network ({reason})") from None
+
+
+def _check_regular(path: Path) -> None:
+    """A named pipe or a device would be waited for without end."""
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise WeightsError(f"{path}: cannot be read ({reason})") from None
+    if not stat.S_ISREG(mode):
+        raise WeightsError(f"{path}: not a file of weights (not a regular file)")

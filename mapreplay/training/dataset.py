@@ -57,6 +57,8 @@ class TrainingPlan:
     logged: tuple[Grid, ...] = ()
     """What an agent had observed of it at some steps, each of the shape of `truth`. Where there
     is none, observations are simulated."""
+    id: str = ""
+    """Of the floor plan, for messages."""
 
     @property
     def runs(self) -> int:
@@ -111,7 +113,7 @@ def prepare_plan(
     cells = np.ascontiguousarray(plan.cells[window])
     start = start._replace(row=start.row - top, col=start.col - left)
     maps = tuple(np.ascontiguousarray(observed[window]) for observed in logged)
-    return TrainingPlan(number, cells, explorable(cells, start), maps)
+    return TrainingPlan(number, cells, explorable(cells, start), maps, plan.id)
 
 
 def load_plans(

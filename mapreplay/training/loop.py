@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import torch
@@ -17,7 +18,8 @@ from torch import nn
 from torch.nn import functional
 
 from mapreplay import scores
-from mapreplay.errors import WeightsError
+from mapreplay.errors import MapreplayError, WeightsError
+from mapreplay.files import write_whole
 from mapreplay.predictors.architectures import (
     ARCHITECTURES,
     AUTOENCODER,
@@ -27,10 +29,11 @@ from mapreplay.predictors.architectures import (
 from mapreplay.predictors.network import one_hot
 from mapreplay.predictors.weights import (
     ModelCard,
-    file_sha256,
+    encode_tensors,
     load_state,
     load_tensors,
-    save_tensors,
+    save_weights,
+    tensors_sha256,
 )
 from mapreplay.training.batches import Place, batches_from
 from mapreplay.training.dataset import (
@@ -42,9 +45,16 @@ from mapreplay.training.dataset import (
     make_batch,
     padded_shape,
 )
+from mapreplay.training.origin import Origin
 
+CHECKED_EVERY: Final = 100
+"""Batches after which the loss on a GPU is looked at, which has to wait for it then."""
 VALIDATION_SEED: Final = 2**63
 """Apart from every training seed, so that no validation observation was trained on."""
+
+
+class TrainingError(MapreplayError):
+    """The training cannot go on."""
 
 
 @dataclass(frozen=True)
@@ -130,6 +140,7 @@ class Trainer:
             self.architecture.padding, config.loss_region, self.architecture.fewest_maps
         )
         self.validation = _validation_batches(validation, config, self._layout)
+        self.origin = Origin.of(asdict(config), plans, validation)
         self.state = _State()
         self._losses: list[torch.Tensor] = []
 
@@ -143,10 +154,15 @@ class Trainer:
         """The held-out curve so far."""
         return self.state.curve
 
-    def run(self) -> Iterator[CurvePoint | int]:
+    def run(self) -> Generator[CurvePoint | int, None, None]:
         """Train to the end; yields the samples done after each batch, and the curve's points.
 
         The checkpoint is written with every point of the curve.
+
+        Raises:
+            TrainingError: the loss is not finite; the checkpoint is the last good one.
+            WriteError: the checkpoint cannot be written; the one before stays.
+            MapreplayError: a process that makes batches died.
         """
         config, state = self.config, self.state
         if state.samples >= config.samples:  # it goes on after its end
@@ -159,6 +175,8 @@ class Trainer:
             state.epoch, state.batch = place.epoch, place.batch + 1
             state.seconds += time.monotonic() - began
             done = state.samples >= config.samples
+            if self.device.type == "cpu" or len(self._losses) % CHECKED_EVERY == 0:
+                self._check_finite(self._losses[-1].item())
             yield state.samples
             if done or before // config.validate_every != state.samples // config.validate_every:
                 yield self._curve_point()
@@ -203,15 +221,20 @@ class Trainer:
         # A map of which everything was seen has no cell that counts.
         return (loss * counted).sum() / counted.sum().clamp(min=1e-6)
 
+    def _check_finite(self, *losses: float) -> None:
+        for loss in losses:
+            if not math.isfinite(loss):
+                raise TrainingError(
+                    f"the loss is {loss} after {self.samples} samples; is the learning rate "
+                    f"({self.config.learning_rate:g}) too high? No weights were written"
+                )
+
     def _curve_point(self) -> CurvePoint:
         state = self.state
+        train_loss = torch.stack(self._losses).mean().item()
         loss = self._validate()
-        point = CurvePoint(
-            state.samples,
-            torch.stack(self._losses).mean().item(),
-            *loss,
-            round(state.seconds, 1),
-        )
+        self._check_finite(train_loss, loss[0])
+        point = CurvePoint(state.samples, train_loss, *loss, round(state.seconds, 1))
         state.curve.append(point)
         self._losses = []
         return point
@@ -272,34 +295,58 @@ class Trainer:
         load_state(self.model, tensors, weights)
 
     def save(self) -> None:
-        """Write the checkpoint: weights, optimizer and position, nothing pickled."""
+        """Write the checkpoint: weights, optimizer and position, nothing pickled.
+
+        Raises:
+            WeightsError: a value is not finite.
+            WriteError: it cannot be written; the one before stays.
+        """
         tensors = {f"model.{name}": value for name, value in self.model.state_dict().items()}
         for i, slots in self.optimizer.state_dict()["state"].items():
             tensors |= {f"adam.{i}.{name}": torch.as_tensor(slots[name]) for name in sorted(slots)}
-        state = {
-            "config": asdict(self.config),
-            "plans": len(self.plans),
+        about = {
+            "origin": self.origin.to_json(),
             "state": asdict(self.state),
+            "tensors": tensors_sha256(tensors),
         }
-        save_tensors(self.checkpoint, tensors, {"mapreplay.training": json.dumps(state)})
+        content = encode_tensors(tensors, {"mapreplay.training": json.dumps(about)})
+        write_whole(self.checkpoint, content, force=True)
 
     def resume(self) -> None:
         """Go on from the checkpoint.
 
         Raises:
-            WeightsError: it cannot be read, or was made with another configuration.
+            WeightsError: it cannot be read, is damaged, or was made with other plans, options,
+                code or weights.
         """
         tensors, notes = load_tensors(self.checkpoint)
-        saved = json.loads(notes.get("mapreplay.training", "null"))
-        if saved is None:
+        if "mapreplay.training" not in notes:
             raise WeightsError(f"{self.checkpoint}: not a training checkpoint")
-        if saved["config"] != asdict(self.config) or saved["plans"] != len(self.plans):
+        try:
+            about = json.loads(notes["mapreplay.training"])
+            if "origin" not in about:
+                raise WeightsError(
+                    f"{self.checkpoint}: of an earlier version, which did not say what it began "
+                    "with; start anew with --force, or choose another --out"
+                )
+            differences = Origin.from_json(about["origin"]).differences(self.origin)
+            if differences:
+                raise WeightsError(
+                    f"{self.checkpoint}: was made with {'; '.join(differences)}; resume with the "
+                    "same, start anew with --force, or choose another --out"
+                )
+            if about["tensors"] != tensors_sha256(tensors):
+                raise ValueError("its checksum does not match")
+            self._load(about["state"], tensors)
+        except (ValueError, KeyError, TypeError, AttributeError, RuntimeError) as error:
+            reason = " ".join(str(error).split())[:120]
             raise WeightsError(
-                f"{self.checkpoint}: was made with {saved['config']} on {saved['plans']} plans; "
-                "resume with the same, or choose another --out"
-            )
-        curve = [CurvePoint(**point) for point in saved["state"].pop("curve")]
-        self.state = _State(**saved["state"], curve=curve)
+                f"{self.checkpoint}: a damaged checkpoint ({reason}); start anew with --force"
+            ) from None
+
+    def _load(self, state: dict[str, Any], tensors: Mapping[str, torch.Tensor]) -> None:
+        curve = [CurvePoint(**point) for point in state.pop("curve")]
+        self.state = _State(**state, curve=curve)
         self.model.load_state_dict(
             {k.removeprefix("model."): v for k, v in tensors.items() if k.startswith("model.")}
         )
@@ -313,16 +360,27 @@ class Trainer:
 
 
 def finish(
-    trainer: Trainer, out: Path, *, trained_on: str, validated_on: str, command: str
+    trainer: Trainer,
+    out: Path,
+    *,
+    trained_on: str,
+    validated_on: str,
+    command: str,
+    force: bool = False,
 ) -> ModelCard:
     """Write the trained weights to `out` and their card beside it; the checkpoint is removed.
 
     The texts say in the card what the plans were, and how to make the weights again.
+
+    Raises:
+        ExistsError: weights or card are there and `force` is not given; the checkpoint stays.
+        WriteError: they cannot be written; what was there before and the checkpoint stay.
+        WeightsError: a value is not finite.
     """
     temperature = trainer.temperature()
     if trainer.config.calibrate:
         trainer.divide_logits(temperature)
-    save_tensors(out, trainer.model.state_dict(), notes_of(trainer.architecture))
+    content = encode_tensors(trainer.model.state_dict(), notes_of(trainer.architecture))
     last = trainer.curve[-1]
     card = ModelCard(
         name=out.stem,
@@ -341,11 +399,11 @@ def finish(
         validation_f1=last.validation_f1,
         temperature=round(temperature, 4),
         calibrated=trainer.config.calibrate,
-        sha256=file_sha256(out),
+        sha256=hashlib.sha256(content).hexdigest(),
         command=command,
         curve=[asdict(point) for point in trainer.curve],
     )
-    card.write(out.with_suffix(".json"))
+    save_weights(out, content, card, force=force)
     trainer.checkpoint.unlink(missing_ok=True)
     return card
 

@@ -15,7 +15,7 @@ from mapreplay.predictors.architectures import ARCHITECTURES, UNET, Architecture
 from mapreplay.predictors.network import one_hot
 from mapreplay.predictors.trained import TrainedPredictor, load_network
 from mapreplay.predictors.unet import fused
-from mapreplay.predictors.weights import save_tensors
+from mapreplay.predictors.weights import encode_tensors
 from mapreplay.step import PredictorIdentity
 
 every_architecture = pytest.mark.parametrize(
@@ -51,7 +51,7 @@ def test_weights_go_to_disk_and_back(architecture: Architecture, tmp_path: Path)
     torch.manual_seed(1)
     model = architecture.build().eval()
     path = tmp_path / "mine.safetensors"
-    save_tensors(path, model.state_dict(), notes_of(architecture))
+    path.write_bytes(encode_tensors(model.state_dict(), notes_of(architecture)))
     loaded = load_predictor(str(path))
     assert loaded.identity.name == "mine.safetensors"
     assert len(loaded.identity.sha256) == 64
@@ -62,7 +62,9 @@ def test_weights_go_to_disk_and_back(architecture: Architecture, tmp_path: Path)
 
 def test_weights_of_an_unknown_architecture_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "new.safetensors"
-    save_tensors(path, {"a": torch.zeros(1)}, {"mapreplay.architecture": "transformer"})
+    path.write_bytes(
+        encode_tensors({"a": torch.zeros(1)}, {"mapreplay.architecture": "transformer"})
+    )
     with pytest.raises(WeightsError, match="network 'transformer'; known are autoencoder, unet"):
         load_network(path, "cpu")
 

@@ -1,19 +1,26 @@
 """Training: simulated observations, batches, and a loop that learns, stops and goes on."""
 
+import errno
+import hashlib
+import json
+import os
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from drawing import draw, plan
-from mapreplay.errors import FloorPlanError, MapreplayError, WeightsError
+from mapreplay.errors import ExistsError, FloorPlanError, MapreplayError, WeightsError, WriteError
 from mapreplay.floorplan import FloorPlan, explorable
 from mapreplay.floorplans.procedural import Style, generate
 from mapreplay.grid import FREE, UNKNOWN, Cell
 from mapreplay.predictors.architectures import ARCHITECTURES
 from mapreplay.predictors.network import OUTSIDE
+from mapreplay.predictors.weights import encode_tensors
 from mapreplay.sensor import Sensor
 from mapreplay.training.batches import Place, batches_from
 from mapreplay.training.dataset import (
@@ -28,7 +35,7 @@ from mapreplay.training.dataset import (
     prepare_plan,
     turned,
 )
-from mapreplay.training.loop import Trainer, TrainingConfig, finish
+from mapreplay.training.loop import Trainer, TrainingConfig, TrainingError, finish
 from mapreplay.training.observations import (
     RUNS_PER_PLAN,
     observation_draws,
@@ -170,7 +177,6 @@ def test_training_goes_on_where_it_was_killed_and_ends_the_same(
         assert (resumed.model.state_dict()[name] == value).all(), name
 
 
-@pytest.mark.filterwarnings("ignore:This DataLoader will create")  # on one core
 @pytest.mark.filterwarnings("ignore:.*use of fork")  # with threads, from Python 3.12 on
 def test_any_number_of_processes_makes_the_same_batches(plans: list[TrainingPlan]) -> None:
     def epoch(number: int) -> Epoch:
@@ -215,17 +221,135 @@ def test_maps_are_turned_and_mirrored_all_alike() -> None:
         assert batch.observed[0, 0, 0] != OUTSIDE
 
 
-def test_a_checkpoint_of_another_configuration_is_refused(
-    plans: list[TrainingPlan], tmp_path: Path
+def test_a_checkpoint_of_another_training_is_refused_with_what_differs(
+    plans: list[TrainingPlan], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "a.checkpoint"
-    train(plans, path)
-    other = Trainer(plans[:10], plans[10:], TrainingConfig(samples=999), "cpu", path)
-    with pytest.raises(WeightsError, match="was made with"):
-        other.resume()
-    path.write_bytes(path.read_bytes()[:1000])
-    with pytest.raises(WeightsError, match="not a safetensors file"):
-        other.resume()
+    config = train(plans, path).config
+
+    def refused(trainer: Trainer) -> str:
+        with pytest.raises(WeightsError, match=r"a.checkpoint: was made with ") as error:
+            trainer.resume()
+        assert "\n" not in str(error.value)
+        return str(error.value).partition("was made with ")[2]
+
+    def with_options(**changes: object) -> Trainer:
+        return Trainer(plans[:10], plans[10:], replace(config, **changes), "cpu", path)  # type: ignore[arg-type]
+
+    assert refused(with_options(samples=999)).startswith("--samples 480 (now 999); resume")
+    assert refused(with_options(loss_region=LossRegion.NEARBY, weight_decay=0.5)).startswith(
+        "--loss-region all (now nearby); --weight-decay 0.0 (now 0.5); resume"
+    )
+    assert refused(with_options(init_sha256="c0ffee" + 58 * "0")).startswith(
+        "other --init weights: sha256 none (now c0ffee000000); resume"
+    )
+    # As many plans, with the same ids: but one cell of one of them is another.
+    cells = plans[4].truth.copy()
+    cells[12, 12] = FREE if cells[12, 12] else 100
+    changed = [*plans[:4], replace(plans[4], truth=cells), *plans[5:]]
+    said = refused(Trainer(changed[:10], plans[10:], config, "cpu", path))
+    assert said.startswith("other training plans: 10 from procedural-0 to procedural-9, sha256 ")
+    assert "validation" not in said
+    said = refused(Trainer(plans[:10], plans[11:], config, "cpu", path))
+    assert said.startswith("other validation plans: 2 from procedural-10 to procedural-11, ")
+    reordered = Trainer([plans[1], plans[0], *plans[2:10]], plans[10:], config, "cpu", path)
+    assert refused(reordered).startswith("other training plans")
+    monkeypatch.setattr("mapreplay.training.origin.source_digest", lambda *_: 64 * "1")
+    assert "(now 111111111111)" in refused(with_options())
+
+
+def test_a_damaged_checkpoint_is_one_line(plans: list[TrainingPlan], tmp_path: Path) -> None:
+    path = tmp_path / "a.checkpoint"
+    trainer = train(plans, path)
+    whole = path.read_bytes()
+
+    def refused(content: bytes, reason: str) -> None:
+        path.write_bytes(content)
+        fresh = Trainer(plans[:10], plans[10:], trainer.config, "cpu", path)
+        with pytest.raises(WeightsError, match=f"a.checkpoint: {reason}"):
+            fresh.resume()
+        assert fresh.samples == 0
+
+    refused(whole[:1000], "not a safetensors file")
+    refused(whole[:-1] + bytes([whole[-1] ^ 1]), r"a damaged checkpoint \(its checksum")
+    note = b'\\"state\\": {\\"samples\\"'
+    assert note in whole
+    refused(whole.replace(note, note.replace(b"samples", b"simples")), "a damaged checkpoint")
+    refused(encode_tensors({"a": torch.zeros(1)}, {}), "not a training checkpoint")
+    old = {"mapreplay.training": json.dumps({"config": {}, "plans": 10, "state": {}})}
+    refused(encode_tensors({"a": torch.zeros(1)}, old), "of an earlier version")
+
+
+@pytest.mark.parametrize("samples", [8, 480])  # the first batch still has a finite loss
+def test_a_loss_that_is_not_finite_ends_the_training_and_nothing_of_it_is_written(
+    plans: list[TrainingPlan], tmp_path: Path, samples: int
+) -> None:
+    checkpoint = tmp_path / "a.checkpoint"
+    train(plans, checkpoint)
+    before = checkpoint.read_bytes()
+    config = TrainingConfig(samples=samples, batch=8, learning_rate=float("inf"))
+    trainer = Trainer(plans[:10], plans[10:], config, "cpu", checkpoint)
+    with pytest.raises(TrainingError, match=r"the loss is nan after .* samples; is the learning"):
+        list(trainer.run())
+    assert trainer.samples <= 100  # two batches: at once
+    assert checkpoint.read_bytes() == before
+    with pytest.raises(WeightsError, match="is not finite"):
+        trainer.save()
+    with pytest.raises(WeightsError, match="is not finite"):
+        encode_tensors({"a": torch.tensor([1.0, float("inf")])}, {})
+    assert checkpoint.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["a.checkpoint"]
+
+
+def test_a_full_disk_at_a_checkpoint_leaves_the_one_before(
+    plans: list[TrainingPlan], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checkpoint = tmp_path / "a.checkpoint"
+    train(plans, checkpoint, stop_after=240)
+    before = checkpoint.read_bytes()
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(WriteError, match=r"a.checkpoint: cannot be written \(No space left"):
+        train(plans, checkpoint, resume=True)
+    monkeypatch.undo()
+    assert checkpoint.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["a.checkpoint"]
+    assert train(plans, checkpoint, resume=True).samples >= 480
+
+
+@pytest.mark.parametrize("call", range(1, 4))
+def test_weights_and_card_are_both_new_or_both_old(
+    plans: list[TrainingPlan], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: int
+) -> None:
+    """The disk is full at the first, second or third file that is synchronized."""
+    trainer = train(plans, tmp_path / "a.checkpoint")
+    said = {"trained_on": "a", "validated_on": "b", "command": "c"}
+    weights, card = tmp_path / "mine.safetensors", tmp_path / "mine.json"
+    weights.write_text("old weights")
+    card.write_text("old card")
+    with pytest.raises(ExistsError, match=r"mine.json: exists"):
+        finish(trainer, weights, **said)
+    calls, sync = [], os.fsync
+
+    def full(file: int) -> None:
+        calls.append(file)
+        if len(calls) == call:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        sync(file)
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(WriteError, match="No space left"):
+        finish(trainer, weights, **said, force=True)
+    monkeypatch.undo()
+    assert (weights.read_text(), card.read_text()) == ("old weights", "old card")
+    assert len(list(tmp_path.iterdir())) == 3
+    made = finish(trainer, weights, **said, force=True)
+    assert hashlib.sha256(weights.read_bytes()).hexdigest() == made.sha256
+    assert json.loads(card.read_text())["sha256"] == made.sha256
+    assert {p.name for p in tmp_path.iterdir()} == {"mine.safetensors", "mine.json"}
 
 
 def test_batches_are_what_make_batch_says(plans: list[TrainingPlan]) -> None:

@@ -1,0 +1,71 @@
+"""What a result depends on of our own code, found by following imports."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+from functools import cache
+from pathlib import Path
+from typing import Final
+
+_PACKAGE: Final = "mapreplay"
+_ROOT: Final = Path(__file__).parent
+
+
+@cache
+def source_digest(*modules: str) -> str:
+    """SHA-256 (hex) of the source of `modules` and of all of this package that they import.
+
+    Also what they import only inside of functions. A package that is imported counts with all its
+    modules, because those of plug-ins (planners, predictors) are imported by nobody by name.
+
+    Raises:
+        FileNotFoundError: there is no such module.
+    """
+    digest = hashlib.sha256()
+    for module, path in sorted(_closure(modules).items()):
+        content = path.read_bytes()
+        digest.update(f"{module} {len(content)}\n".encode() + content)
+    return digest.hexdigest()
+
+
+def _closure(modules: tuple[str, ...]) -> dict[str, Path]:
+    found: dict[str, Path] = {}
+    left = list(modules)
+    while left:
+        module = left.pop()
+        if module in found:
+            continue
+        path = _path(module)
+        if path is None:
+            raise FileNotFoundError(f"no module {module}")
+        found[module] = path
+        if path.name == "__init__.py" and module != _PACKAGE:
+            left += [f"{module}.{each.stem}" for each in path.parent.glob("*.py")
+                     if each.stem != "__init__"]  # fmt: skip
+        left += _imported(path)
+    return found
+
+
+def _imported(path: Path) -> list[str]:
+    """The modules of ours that a file imports, inside of functions, too."""
+    names = []
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            below = [f"{node.module}.{alias.name}" for alias in node.names]
+            modules = [name for name in below if _path(name)]
+            names += modules if len(modules) == len(below) else [*modules, node.module]
+    return [n for n in names if n.split(".")[0] == _PACKAGE and n != _PACKAGE and _path(n)]
+
+
+def _path(module: str) -> Path | None:
+    parts = module.split(".")
+    if parts[0] != _PACKAGE:
+        return None
+    place = _ROOT.joinpath(*parts[1:])
+    for path in (place.with_suffix(".py"), place / "__init__.py"):
+        if path.is_file() and len(parts) > 1:
+            return path
+    return None
