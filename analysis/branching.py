@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mapreplay import mapping
+from mapreplay.analysis.logged_predictor import logged_predictor
 from mapreplay.config import EpisodeConfig
 from mapreplay.episode import Episode, prepare_episode, run_episode
 from mapreplay.errors import UsageError
@@ -95,13 +96,13 @@ def is_set_right(header: EpisodeHeader) -> bool:
     return not other and is_set_right(branch.before)
 
 
-def predictor_of(header: EpisodeHeader, device: str) -> Predictor:
-    """What predicted under `header`, loaded by its name.
+def predictor_of(header: EpisodeHeader, device: str, weights: Sequence[Path] = ()) -> Predictor:
+    """What predicted under `header`; see `mapreplay.analysis.logged_predictor`.
 
     Raises:
         PluginError, WeightsError: it cannot be loaded.
     """
-    predictor = load_predictor(header.config.predictor, device)
+    predictor = logged_predictor(header, device, weights)
     if is_set_right(header):
         return set_right(predictor, header)
     return predictor
@@ -171,6 +172,7 @@ def prepare_branch(
     changes: Sequence[str],
     device: str = "cpu",
     predictor: Predictor | None = None,
+    weights: Sequence[Path] = (),
 ) -> BranchedEpisode:
     """Prepare to run the episode of `log` on from step `at` under `changes`.
 
@@ -182,6 +184,7 @@ def prepare_branch(
             predicted any more), or ``key=value``, such as ``delta-occupied=0.97``.
         device: Of the predictor.
         predictor: Used instead of loading the one by name.
+        weights: Files, one of which may have the weights that the log was recorded with.
 
     Raises:
         UsageError: there is no such step, a change that is none, or another simulator's log.
@@ -201,7 +204,10 @@ def prepare_branch(
     before = log.header.at(index)
     values = config_values(changes, before)
     config = EpisodeConfig.of(before.config.model_dump() | values, "branch")
-    predictor = predictor or load_predictor(config.predictor, device)
+    if predictor is None and "predictor" in values:
+        predictor = load_predictor(values["predictor"], device)
+    elif predictor is None:
+        predictor = logged_predictor(before, device, weights)
     draft = prepare_episode(config, before.floor_plan, predictor=predictor)
     branch = Branch(_sha256(log), index, tuple(changes), before)
     header = replace(draft.header, start=before.start, branch=branch)
@@ -209,8 +215,8 @@ def prepare_branch(
     if "predictor" not in values and used.identity.sha256 != before.predictor.sha256:
         raise UsageError(
             f"{log.path}: recorded with other weights of {config.predictor} "
-            f"({before.predictor.sha256[:12]}; here {used.identity.sha256[:12]}); name a "
-            "predictor with --with predictor=NAME"
+            f"({before.predictor.sha256[:12]}; here {used.identity.sha256[:12]}); give them with "
+            "--predictor FILE, or name another predictor with --with predictor=NAME"
         )
     if is_set_right(header):
         used = set_right(used, header)

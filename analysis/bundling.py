@@ -23,6 +23,7 @@ from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, diagnose
 from mapreplay.analysis.diagnosis.marks import sealing_marks
 from mapreplay.analysis.diagnosis.paragraph import paragraph
 from mapreplay.analysis.diagnosis.record import record_of, to_json
+from mapreplay.config import WEIGHTS_ENDING
 from mapreplay.errors import LogError, UsageError
 from mapreplay.recorders.log.header import episode_pairs
 from mapreplay.recorders.log.reader import EpisodeLog
@@ -33,6 +34,7 @@ from mapreplay.recorders.pictures.painter import MapPainter
 SCHEMA: Final = "mapreplay.bundle/1"
 LOG_NAME: Final = "episode.mcap"
 _WHEN: Final = (1980, 1, 1, 0, 0, 0)
+_ENDING: Final = WEIGHTS_ENDING.encode()
 _SIDE: Final = 640
 """Pixels of the picture's longer side."""
 
@@ -65,11 +67,13 @@ def make_bundle(log: EpisodeLog, until: int | None = None) -> Bundle:
         raise UsageError(f"--until {until}: {log.path} has steps 0 to {log.last}")
     if last < log.indices[0]:
         raise UsageError(f"--until {until}: {log.path} has no step before {log.indices[0]}")
-    whole = last == log.last and log.state.whole
+    data = log.path.read_bytes()
+    # What earlier versions wrote may say where the predictor's weights were.
+    as_it_is = last == log.last and log.state.whole and _ENDING not in data
     with TemporaryDirectory() as folder:
         path = Path(folder) / LOG_NAME
-        if whole:
-            path.write_bytes(log.path.read_bytes())
+        if as_it_is:
+            path.write_bytes(data)
         else:
             _write_part(log, last, path)
         packed = EpisodeLog(path)
@@ -91,7 +95,8 @@ def _write_part(log: EpisodeLog, last: int, path: Path) -> None:
         for step in takewhile(lambda step: step.index <= last, log.steps()):
             writer.skip_to(step.index)
             writer.write(step)
-        writer.close_recovered()
+        if last < len(log) - 1 or not log.finished:
+            writer.close_recovered()
 
 
 def _config(log: EpisodeLog) -> bytes:

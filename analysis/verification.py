@@ -11,8 +11,9 @@ is the first of the differences at its step, with what follows from it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -172,8 +173,12 @@ def _check_alone(
     yield from compare(logged, replace(logged, fused=fused, metrics=metrics))
 
 
-def verify_rerun(log: EpisodeLog, device: str = "cpu", shown: int = SHOWN) -> Verification:
+def verify_rerun(
+    log: EpisodeLog, device: str = "cpu", shown: int = SHOWN, weights: Sequence[Path] = ()
+) -> Verification:
     """Run the episode again from its metadata and true map, and compare every step.
+
+    `weights` are files, which may have the weights of its predictors.
 
     If the predictor is not the one that was used, that alone is named.
 
@@ -188,7 +193,7 @@ def verify_rerun(log: EpisodeLog, device: str = "cpu", shown: int = SHOWN) -> Ve
     findings = _Findings(log, shown)
     predictors = []
     for part in lineage(header):
-        predictors.append(predictor_of(part, device))
+        predictors.append(predictor_of(part, device, weights))
         if findings.add(_check_predictor(part.predictor, predictors[-1].identity)):
             return findings.result()
     findings.add(_check_header(header))
@@ -208,7 +213,11 @@ def verify_rerun(log: EpisodeLog, device: str = "cpu", shown: int = SHOWN) -> Ve
 
 
 def verify_step(
-    log: EpisodeLog, index: int, device: str = "cpu", shown: int = SHOWN
+    log: EpisodeLog,
+    index: int,
+    device: str = "cpu",
+    shown: int = SHOWN,
+    weights: Sequence[Path] = (),
 ) -> Verification:
     """Predict, fuse, score and decide again at one step, from its logged pose and observed map.
 
@@ -226,7 +235,8 @@ def verify_step(
         log.check_step(logged.index - 1)
     before = log[logged.index - 1].decision if logged.index > 0 else None
     findings = _Findings(log, shown)
-    predictor, planner = predictor_of(header, device), load_planner(header.config.planner)
+    predictor = predictor_of(header, device, weights)
+    planner = load_planner(header.config.planner)
     if findings.add(_check_predictor(header.predictor, predictor.identity)):
         return findings.result()
     problem = check_grid(logged.observed)

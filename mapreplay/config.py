@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from bisect import bisect_left
 from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Final, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
@@ -32,6 +33,21 @@ _MAX_SHOWN = 80
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
+WEIGHTS_ENDING: Final = ".safetensors"
+_PATH: Final = re.compile(r"[/\\~]|[A-Za-z]:[/\\]")
+
+
+def predictor_name(word: str) -> str:
+    """What is logged of a predictor that is called by a name or by the file of its weights.
+
+    The name, or the file's without its folder and ending: a log says which weights were used by
+    their hash, and never where they were. Nothing is ever opened because of this name.
+    """
+    if WEIGHTS_ENDING in word or _PATH.match(word):
+        word = re.split(r"[/\\]", word)[-1].replace(WEIGHTS_ENDING, "") or "unnamed"
+    return word
+
+
 class EpisodeConfig(BaseModel):
     """What an episode depends on, beside its floor plan.
 
@@ -44,6 +60,7 @@ class EpisodeConfig(BaseModel):
 
     planner: str = "cost-utility"
     predictor: str = "none"
+    """Its name; of a path to weights the name of the file remains (see `predictor_name`)."""
     plan_on: MapKind = MapKind.FUSED
     """E: the map that paths and gains are computed on."""
     build: MapKind = MapKind.FUSED
@@ -72,6 +89,11 @@ class EpisodeConfig(BaseModel):
             raise ValueError(f"be a name of 1 to {_MAX_NAME} characters")
         return value
 
+    @field_validator("predictor")
+    @classmethod
+    def _named(cls, value: str | None) -> str | None:
+        return None if value is None else predictor_name(value)
+
     @classmethod
     def of(cls, values: Mapping[str, Any], where: str = "config") -> Self:
         """Check `values`; `where` says in an error where they came from.
@@ -94,7 +116,8 @@ class RunConfig(EpisodeConfig):
     """What `mapreplay run` does: the keys of its TOML file and of its command line."""
 
     predictor: str | None = None  # type: ignore[assignment]
-    """None is the one that suits the floor plans, or none where nothing asks for it."""
+    """None is the one that suits the floor plans, or none where nothing asks for it. A name, or
+    a file of weights."""
     floorplans: str = "procedural:60000"
     ids: Path | None = None
     """A file with one floor-plan id a line."""
@@ -106,6 +129,17 @@ class RunConfig(EpisodeConfig):
     device: str = "cpu"
     profile: bool = False
     out: Path | None = None
+
+    @field_validator("predictor")
+    @classmethod
+    def _named(cls, value: str | None) -> str | None:
+        return value  # here it is what the user gave, and may be a file
+
+    @property
+    def weights(self) -> Path | None:
+        """The file of weights, if the predictor was given as one."""
+        given = self.predictor or ""
+        return Path(given) if given.endswith(WEIGHTS_ENDING) else None
 
     def episode(self, default_predictor: str, seed: int) -> EpisodeConfig:
         """The configuration of one episode.

@@ -21,7 +21,7 @@ from mapreplay.config import EpisodeConfig
 from mapreplay.floorplan import FloorPlan, explorable
 from mapreplay.grid import FREE, Mask
 from mapreplay.planners import Planner, load_planner
-from mapreplay.predictors import Predictor, choice_of, load_predictor
+from mapreplay.predictors import Predictor, choice_of, registered_predictor
 from mapreplay.sensor import accumulate, sense
 from mapreplay.stages import Knowledge, Past, decide, make_step, measure, predict
 from mapreplay.step import EpisodeHeader, Step, StepProfile
@@ -46,7 +46,8 @@ def prepare_episode(
 ) -> Episode:
     """Fill in what the configuration leaves to the floor plan, and load what it names.
 
-    A planner or predictor given here is used instead of loading the one by that name.
+    A planner or predictor given here is used instead of loading the one registered by that name;
+    weights of a file are loaded with `mapreplay.predictors.load_predictor` and given here.
 
     Raises:
         FloorPlanError: the start is not a free cell.
@@ -54,7 +55,7 @@ def prepare_episode(
     """
     start = floor_plan.check_start(config.start_cell)
     region = explorable(floor_plan.cells, start)
-    predictor = predictor or load_predictor(config.predictor)
+    predictor = predictor or registered_predictor(config.predictor)
     header = EpisodeHeader(
         config=config,
         floor_plan=floor_plan,

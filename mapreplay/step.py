@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from mapreplay.config import EpisodeConfig, MapKind
+from mapreplay.config import EpisodeConfig, MapKind, predictor_name
 from mapreplay.floorplan import FloorPlan, explorable
 from mapreplay.grid import Cell, Grid, Mask, Quantized
 from mapreplay.kernels import SQRT2
@@ -212,8 +212,12 @@ class PredictorIdentity:
     """Which predictor was used."""
 
     name: str
+    """Never a path, see `mapreplay.config.predictor_name`."""
     sha256: str
     """Of its weights; empty if it has none."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "name", predictor_name(self.name))
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,9 +275,17 @@ class Branch:
     step: int
     """The first step that is not the parent's; the agent and what it had observed are."""
     changes: tuple[str, ...]
-    """As they were asked for, such as ``delta-occupied=0.97``."""
+    """As they were asked for, such as ``delta-occupied=0.97``; never with a path."""
     before: EpisodeHeader
     """The parent's."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "changes", tuple(map(_without_path, self.changes)))
+
+
+def _without_path(change: str) -> str:
+    key, equals, value = change.partition("=")
+    return f"{key}={predictor_name(value)}" if equals and key == "predictor" else change
 
 
 def log_name(floor_plan_id: str, config: EpisodeConfig) -> str:

@@ -31,6 +31,13 @@ class Task:
     device: str
     profile: bool
     force: bool
+    weights: Path | None = None
+    """The file of the predictor's weights, where the user gave one; else it is a registered one."""
+
+    @property
+    def predictor(self) -> str:
+        """What to load, see `mapreplay.predictors.load_predictor`."""
+        return str(self.weights or self.config.predictor)
 
     @property
     def path(self) -> Path:
@@ -70,7 +77,7 @@ Report: TypeAlias = Progress | Done | Failed
 def record(number: int, task: Task) -> Iterator[Report]:
     """Simulate and record one episode; closing the generator leaves a readable ``.part``."""
     try:
-        predictor = kept_predictor(task.config.predictor, task.device)
+        predictor = kept_predictor(task.predictor, task.device)
         episode = prepare_episode(task.config, task.floor_plan, predictor=predictor)
         path = task.path
         with EpisodeWriter(path, episode.header, profile=task.profile, force=task.force) as writer:

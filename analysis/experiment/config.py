@@ -10,7 +10,16 @@ from typing import Annotated, Any, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from mapreplay.analysis.experiment.controls import CONTROLS
-from mapreplay.config import EpisodeConfig, MapKind, Share, describe, read_toml
+from mapreplay.analysis.experiment.infill import PREFIX as INFILL
+from mapreplay.config import (
+    WEIGHTS_ENDING,
+    EpisodeConfig,
+    MapKind,
+    Share,
+    describe,
+    predictor_name,
+    read_toml,
+)
 from mapreplay.errors import ConfigError, FloorPlanError, UsageError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.floorplans import load_each, open_source, read_ids, select
@@ -41,6 +50,12 @@ class Dataset(_Table):
     """The first so many."""
     curve_plans: Annotated[int, Field(ge=0)] = 30
     """Of them, the first so many give the F1 curve and the calibration."""
+
+    def weights_of(self, episode: EpisodeConfig) -> Path | None:
+        """The file of weights that predicts in `episode`, if `predictor` is one."""
+        given = self.predictor
+        used = given.endswith(WEIGHTS_ENDING) and episode.predictor == predictor_name(given)
+        return Path(given) if used else None
 
     def load(self, floorplans: str | None = None) -> list[FloorPlan]:
         """The floor plans, from `floorplans` instead of where the configuration says.
@@ -119,6 +134,13 @@ class ExperimentConfig(_Table):
             raise ConfigError(f"{where}: two datasets have one name")
         if config.example is not None and config.example not in names:
             raise ConfigError(f"{where}: example = {config.example!r}: there is no such dataset")
+        taken = {*config.controls, "none", *(f"{INFILL}{radius}" for radius in config.infill)}
+        for dataset in config.datasets:
+            name = predictor_name(dataset.predictor)
+            if name in taken and dataset.predictor.endswith(WEIGHTS_ENDING):
+                raise ConfigError(
+                    f"{where}: predictor = {dataset.predictor!r}: {name} is a control; rename it"
+                )
         unknown = [name for name in config.controls if name not in CONTROLS]
         if unknown:
             raise ConfigError(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TypeAlias
 
 from mapreplay.analysis.experiment.config import Dataset, ExperimentConfig
@@ -36,10 +37,14 @@ class Job:
     config: EpisodeConfig
     wall_share: float
     """What the control ``mean-wall`` says."""
+    weights: Path | None = None
+    """The file of the predictor's weights, where the configuration names one."""
 
     def predictor(self) -> Predictor:
         """The predictor of this job: a control, an oracle, or the registered one of that name."""
         name = self.config.predictor
+        if self.weights is not None:
+            return kept_predictor(str(self.weights))
         if name in CONTROLS:
             return CONTROLS[name](self.wall_share)
         if name.startswith(INFILL):
@@ -79,7 +84,7 @@ def jobs_of(config: ExperimentConfig, dataset: Dataset, plans: Sequence[FloorPla
                 continue
             episodes = list(_configurations(config, dataset, planning.planner, config.seed + run))
             jobs += [
-                Job(dataset.name, plan, episode, dataset.wall_share)
+                Job(dataset.name, plan, episode, dataset.wall_share, dataset.weights_of(episode))
                 for episode in episodes
                 for plan in plans
             ]

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from mapreplay.cli.logs import LogArgument, end_with, open_log
+from mapreplay.cli.logs import LogArgument, WeightsOption, end_with, open_log
 from mapreplay.cli.output import ForceOption, Format, FormatOption, emit, note
 
 
@@ -26,6 +26,7 @@ def branch(
             "or max-steps=N; can be repeated.",
         ),
     ],
+    predictor: WeightsOption = None,
     device: Annotated[str, typer.Option(help="Where the predictor runs.")] = "cpu",
     out: Annotated[
         Path | None,
@@ -46,7 +47,7 @@ def branch(
     from mapreplay.recorders.log.writer import EpisodeWriter
 
     opened = open_log(log)
-    branched = prepare_branch(opened, at, change, device)
+    branched = prepare_branch(opened, at, change, device, weights=predictor or [])
     path = out or branch_path(opened.path, branched.header)
     budget = branched.header.max_steps
     with (

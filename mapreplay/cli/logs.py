@@ -21,6 +21,14 @@ if TYPE_CHECKING:
 PathsArgument = Annotated[
     list[Path], typer.Argument(help="Logs, folders of logs, or globs.", show_default=False)
 ]
+WeightsOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--predictor",
+        metavar="FILE",
+        help="Weights of the log's predictor, if it is not a registered one; can be repeated.",
+    ),
+]
 WhereOption = Annotated[
     list[str] | None,
     typer.Option("--where", help="Only episodes like this: outcome=sealed_in, steps>300, ..."),

@@ -140,7 +140,7 @@ def run(
         )
     # Refuse an unknown or broken planner or predictor before anything runs.
     load_planner(tasks[0].config.planner)
-    loaded = load_predictor(tasks[0].config.predictor, settings.device)
+    loaded = load_predictor(tasks[0].predictor, settings.device)
     finished: list[Path] = []
     if resume:
         finished, tasks = _skip_finished(tasks, loaded)
@@ -210,7 +210,15 @@ def _plan_tasks(settings: RunConfig, folder: Path, *, force: bool) -> tuple[list
         for again in range(rounds):
             episode = settings.episode(source.default_predictor, settings.seed + again)
             tasks.append(
-                Task(episode, floor_plan, folder, settings.device, settings.profile, force)
+                Task(
+                    episode,
+                    floor_plan,
+                    folder,
+                    settings.device,
+                    settings.profile,
+                    force,
+                    settings.weights,
+                )
             )
     tasks.sort(key=lambda task: task.config.seed)
     others = {task.floor_plan.resolution for task in tasks} - {TRAINED_AT}
@@ -283,7 +291,7 @@ def _watch(tasks: list[Task]) -> list[Path]:
         ) from None
     done = []
     for task in tasks:
-        predictor = load_predictor(task.config.predictor, task.device)
+        predictor = load_predictor(task.predictor, task.device)
         episode = prepare_episode(task.config, task.floor_plan, predictor=predictor)
         path = task.path
         with (

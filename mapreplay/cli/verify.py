@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mapreplay.cli.logs import PathsArgument, WhereOption, tell_states
+from mapreplay.cli.logs import PathsArgument, WeightsOption, WhereOption, tell_states
 from mapreplay.cli.output import (
     LOST,
     ForceOption,
@@ -44,6 +44,7 @@ def verify(
             metavar="K", help="Predict, fuse and decide again at step K, from its observed map."
         ),
     ] = None,
+    predictor: WeightsOption = None,
     device: Annotated[str, typer.Option(help="Where the predictor runs again.")] = "cpu",
     form: FormatOption = Format.TABLE,
     output: OutputOption = None,
@@ -53,11 +54,13 @@ def verify(
     check_outputs(output, force=force)
     if rerun and rerun_from is not None:
         raise UsageError("verify: choose one of --rerun and --rerun-from")
+    if predictor and not rerun and rerun_from is None:
+        raise UsageError("verify: --predictor is for --rerun and --rerun-from")
     from mapreplay.analysis.episodes.summary import Condition, summarize
     from mapreplay.recorders.log.find import find_logs
     from mapreplay.recorders.log.reader import EpisodeLog
 
-    check = _check(device, rerun_from, rerun=rerun)
+    check = _check(device, rerun_from, predictor or [], rerun=rerun)
     conditions = [Condition.parse(text) for text in where or []]
     results: dict[str, Verification] = {}
     problems: list[str] = []
@@ -94,7 +97,7 @@ def verify(
 
 
 def _check(
-    device: str, rerun_from: int | None, *, rerun: bool
+    device: str, rerun_from: int | None, weights: list[Path], *, rerun: bool
 ) -> Callable[[EpisodeLog], Verification]:
     """What is to be done with each log."""
     from mapreplay.analysis import verification as verify
@@ -103,12 +106,12 @@ def _check(
         index = rerun_from or 0
         if not -log.last - 1 <= index <= log.last:
             raise UsageError(f"--rerun-from {index}: {log.path} has steps 0 to {log.last}")
-        return verify.verify_step(log, index, device)
+        return verify.verify_step(log, index, device, weights=weights)
 
     if rerun_from is not None:
         return one_step
     if rerun:
-        return lambda log: verify.verify_rerun(log, device)
+        return lambda log: verify.verify_rerun(log, device, weights=weights)
     return verify.verify
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mapreplay import plugins
+from mapreplay.config import WEIGHTS_ENDING
 from mapreplay.errors import PluginError
 from mapreplay.grid import Grid
 from mapreplay.step import PredictorIdentity
@@ -63,17 +64,29 @@ def no_predictor(device: str) -> NoPredictor:  # noqa: ARG001 (what the entry po
     return NoPredictor()
 
 
-def load_predictor(name: str, device: str = "cpu") -> Predictor:
-    """The predictor registered as `name`, or the network in the safetensors file `name`.
+def load_predictor(word: str, device: str = "cpu") -> Predictor:
+    """The predictor registered as `word`, or the network in the safetensors file `word`.
+
+    For what a *user* names: only a user says which file is opened. What a log or a configuration
+    names is given to `registered_predictor`.
 
     Raises:
         PluginError: there is none, or it is broken.
         WeightsError: the file cannot be read.
     """
-    if name.endswith(".safetensors"):
+    if word.endswith(WEIGHTS_ENDING):
         from mapreplay.predictors.trained import load_network  # torch takes seconds to import
 
-        return load_network(Path(name), device)
+        return load_network(Path(word), device)
+    return registered_predictor(word, device)
+
+
+def registered_predictor(name: str, device: str = "cpu") -> Predictor:
+    """The predictor registered as `name`; whatever the name is, no file of that name is opened.
+
+    Raises:
+        PluginError: there is none, or it is broken.
+    """
     try:
         factory = plugins.load(plugins.Group.PREDICTORS, name)
     except PluginError as error:

@@ -54,7 +54,7 @@ def load_model(path: Path) -> tuple[nn.Module, Architecture]:
 
 
 def load_network(path: Path, device: str, name: str | None = None) -> TrainedPredictor:
-    """The network whose weights are in the safetensors file `path`.
+    """The network whose weights are in the safetensors file `path`; by default called like it.
 
     Raises:
         WeightsError: it cannot be read, or holds the weights of another network.

@@ -146,4 +146,5 @@ def test_a_predictor_that_is_not_here_is_named(cli: Run, logs: Path, tmp_path: P
     assert cli("verify", path).code == 0
     result = cli("verify", path, logs, "--rerun")
     assert result.code == 3
-    assert f"not verified: {path}: unknown predictor 'theirs'" in result.err
+    told = "the log's predictor is theirs (without a hash), not registered here; give its weights"
+    assert f"not verified: {path}: {told} with --predictor FILE" in result.err
