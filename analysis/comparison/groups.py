@@ -95,7 +95,8 @@ def group_episodes(episodes: Sequence[LoggedEpisode], by: Sequence[str]) -> Grou
 
     Episodes that were cut off are left out, and so is the second of two that cannot be told
     apart. So are branches among other episodes, whose first steps they share, unless `by` names
-    "branch". Whatever else differs between the groups is said.
+    "branch". Whatever else differs between the groups is said. The order of `episodes` does not
+    matter: floor plans are in the order of their ids, and runs in that of their seeds.
 
     Raises:
         UsageError: there is no such key.
@@ -103,6 +104,7 @@ def group_episodes(episodes: Sequence[LoggedEpisode], by: Sequence[str]) -> Grou
     """
     keys = _keys(by)
     notes: list[str] = []
+    episodes = sorted(episodes, key=lambda e: (e.row.floor_plan, e.key, str(e.path)))
     finished = [e for e in episodes if e.row.outcome != UNFINISHED]
     if len(finished) < len(episodes):
         notes.append(f"{counted(len(episodes) - len(finished), 'unfinished episode')} left out")

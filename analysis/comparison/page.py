@@ -19,7 +19,14 @@ from mapreplay.analysis.diff.folders import view_command
 from mapreplay.analysis.episodes.corpus import LoggedEpisode
 from mapreplay.analysis.reporting import page
 from mapreplay.analysis.reporting.figures import Draw, in_the_dark, render
-from mapreplay.analysis.reporting.wording import counted, p_value, percent, share, with_interval
+from mapreplay.analysis.reporting.wording import (
+    change,
+    counted,
+    p_number,
+    p_value,
+    reduction,
+    with_interval,
+)
 from mapreplay.config import MapKind
 from mapreplay.floorplans.preview import encode_png
 from mapreplay.recorders.log.reader import EpisodeLog
@@ -93,14 +100,14 @@ def _lead(comparison: Comparison) -> str:
         )
     saving = comparison.savings[0]
     return (
-        f"On {many} {saving.group} reduced the mapping time of {comparison.baseline} by "
-        f"{percent(saving.reduction)}."
+        f"On {many} the mapping time of {saving.group}, compared with that of "
+        f"{comparison.baseline}, is {reduction(saving.reduction)}."
     )
 
 
 def _headlines(comparison: Comparison) -> Iterator[page.Block]:
     numbers = [
-        (share(saving.reduction.mean), f"less mapping time: {saving.group}")
+        (change(saving.reduction.mean), f"mapping time: {saving.group}")
         for saving in comparison.savings[:MOST_GROUPS]
     ]
     for group in comparison.groups[:MOST_GROUPS]:
@@ -145,8 +152,8 @@ def _effects_table(comparison: Comparison) -> page.Table:
             effect.measure,
             with_interval(effect.difference, digits[effect.measure]),
             effect.difference.plans,
-            p_value(effect.test.p),
-            p_value(effect.p_holm),
+            p_number(effect.test.p),
+            p_number(effect.p_holm),
         ]
         for effect in comparison.effects
     ]
@@ -157,11 +164,11 @@ def _effects_table(comparison: Comparison) -> page.Table:
 def _success(saving: Saving, comparison: Comparison) -> str:
     m = saving.success
     return (
-        f"Reduction of mapping time, {saving.group}: {percent(saving.reduction)}; on the "
-        f"{counted(saving.both.plans, 'floor plan')} that both mapped {percent(saving.both)}. "
+        f"Mapping time of {saving.group}: {reduction(saving.reduction)}; on the "
+        f"{counted(saving.both.plans, 'floor plan')} that both mapped {reduction(saving.both)}. "
         f"Mapped by it alone: {m.only_candidate}, by {comparison.baseline} alone: "
         f"{m.only_reference} "
-        f"(McNemar, exact: p {p_value(m.p)}, Holm {p_value(saving.success_p_holm)})."
+        f"(McNemar, exact: {p_value(m.p)}, Holm: {p_value(saving.success_p_holm)})."
     )
 
 
@@ -195,7 +202,7 @@ def _card(
     files = [episode.path for episode in shown]
     last = min(max(episode.row.steps, 0) for episode in shown)
     times = " and ".join(f"{r.name} {r.values[TIME][i]:.0f}" for r in (reference, group))
-    sentence = f"Mapping time in steps: {times}; reduction {share(gain)}."
+    sentence = f"Mapping time in steps: {times} ({change(gain)})."
     return page.Card(
         [
             page.Heading(comparison.floor_plans[i], 3),
@@ -233,7 +240,7 @@ def _plans_table(comparison: Comparison) -> page.Block:
     for group in comparison.groups:
         head += [f"{group.name}: steps", "F1"]
     if len(comparison.groups) == 2:
-        head.append("reduction")
+        head.append("mapping time")
     rows: list[list[page.Value]] = []
     for i, name in enumerate(comparison.floor_plans):
         row: list[page.Value] = [name]
@@ -241,7 +248,7 @@ def _plans_table(comparison: Comparison) -> page.Block:
             row += [round(float(group.values[TIME][i]), 1), float(group.values["F1"][i])]
         if len(comparison.groups) == 2:
             reference, other = (g.values[TIME][i] for g in comparison.groups)
-            row.append(share(float(1 - other / max(reference, 1))))
+            row.append(change(float(1 - other / max(reference, 1))))
         rows.append(row)
     table = page.Table(head, rows, right=[len(head) - 1])
     return page.Details(counted(len(rows), "floor plan"), [table])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -18,6 +19,7 @@ from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, Sealing
 from mapreplay.analysis.diagnosis.harms import HarmKind
 from mapreplay.analysis.diagnosis.taxonomy import KINDS, UNCLASSIFIED
 from mapreplay.analysis.stats.estimates import Estimate, Proportion, mean_interval, proportion
+from mapreplay.recorders.log.header import episode_pairs
 
 OUT: Final = frozenset({Ending.SEEN, Ending.PREDICTION, Ending.MAPPED})
 """Endings of a sealing after which the episode went on, or was done."""
@@ -288,8 +290,12 @@ class Cost:
 
 
 def costs(diagnoses: Sequence[Diagnosis]) -> list[Cost]:
-    """All, by planner and by predictor; nothing where nobody got out."""
+    """All, by planner and by predictor; nothing where nobody got out.
+
+    The same diagnoses give the same intervals in whatever order they come.
+    """
     out = [d for d in diagnoses if d.sealings and all(s.ending in OUT for s in d.sealings)]
+    out.sort(key=lambda d: (d.header.floor_plan.id, json.dumps(episode_pairs(d.header))))
     return [
         Cost(
             by=by,

@@ -190,14 +190,16 @@ class ExperimentConfig(_Table):
             for free, occupied in product(self.sweep.delta_free, self.sweep.delta_occupied)
         ]  # fmt: skip
 
-    def per_dataset(self) -> dict[str, str]:
-        """JSON by name of a dataset: all that its results depend on, but for weights and place.
+    def of_dataset(self, dataset: Dataset) -> dict[str, Any]:
+        """Keys and values that its results depend on, but for weights and floor plans.
 
         Not how many runs there are, nor what is swept: an experiment can grow.
         """
-        shared = self.model_dump_json(include={"delta_free", "delta_occupied", "coverage", "seed"})
+        shared = {"delta_free", "delta_occupied", "coverage", "seed"}
         grows = {"floorplans", "ids", "plans", "curve_plans"}
-        return {d.name: shared + "\n" + d.model_dump_json(exclude=grows) for d in self.datasets}
+        values = self.model_dump(mode="json", include=shared)
+        values |= dataset.model_dump(mode="json", exclude=grows)
+        return values | {"predictor": predictor_name(dataset.predictor)}
 
     def episode(
         self, planner: str, predictor: str, maps: Maps, seed: int, *, fail_safe: bool

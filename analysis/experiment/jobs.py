@@ -6,9 +6,12 @@ step at which the agent is sealed in, and ends there. So one job gives both rows
 
 from __future__ import annotations
 
+import hashlib
+import json
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import TypeAlias
 
@@ -18,13 +21,14 @@ from mapreplay.analysis.experiment.infill import PREFIX as INFILL
 from mapreplay.analysis.experiment.infill import InFill
 from mapreplay.analysis.experiment.rows import Row
 from mapreplay.config import EpisodeConfig, MapKind
-from mapreplay.episode import Episode, prepare_episode, run_episode
+from mapreplay.episode import Episode, prepare_episode, run_episode, versions
 from mapreplay.errors import MapreplayError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.predictors import Predictor, kept_predictor
+from mapreplay.source_digest import source_digest
 from mapreplay.step import Mode, Outcome, Step
 
-Identity: TypeAlias = tuple[str, str, str, str, str, bool, int, str, str]
+Identity: TypeAlias = tuple[str | bool | int, ...]
 """What a row is of: no two rows of an experiment are of the same."""
 
 
@@ -52,6 +56,16 @@ class Job:
             return InFill(self.floor_plan, radius, self.wall_share)
         return kept_predictor(name)
 
+    def digest(self, weights: str) -> str:
+        """Of all that its rows depend on: also of the predictor's weights (their SHA-256) and of
+        the code that there is now.
+        """
+        about = [
+            self.config.model_dump_json(), self.floor_plan.sha256, self.wall_share, weights,
+            code_digest(), versions(),
+        ]  # fmt: skip
+        return hashlib.sha256(json.dumps(about).encode()).hexdigest()[:16]
+
     def identities(self) -> list[Identity]:
         """Those of the rows that this job gives, with the weights that there are now."""
         config, sha256 = self.config, self.predictor().identity.sha256
@@ -64,12 +78,15 @@ class Job:
         ]  # fmt: skip
 
 
+@cache
+def code_digest() -> str:
+    """Of our code that rows depend on."""
+    return source_digest("mapreplay.analysis.experiment.jobs")
+
+
 def identity(row: Row) -> Identity:
     """What a row is of."""
-    return (
-        row.dataset, row.floor_plan, row.planner, row.plan_on, row.build, row.fail_safe,
-        row.seed, row.predictor, row.sha256,
-    )  # fmt: skip
+    return row.key
 
 
 def jobs_of(config: ExperimentConfig, dataset: Dataset, plans: Sequence[FloorPlan]) -> list[Job]:
@@ -124,6 +141,7 @@ class _Follow:
     def __init__(self, job: Job, episode: Episode) -> None:
         self._job = job
         self._header = episode.header
+        self._digest = job.digest(episode.header.predictor.sha256)
         self._mapped: int | None = None
         self._corrected: int | None = None
         self._sealed: tuple[Step, int | None] | None = None
@@ -194,4 +212,5 @@ class _Follow:
             sealed_step=self._sealed[0].index if self._sealed else None,
             fail_safe_steps=self._fail_safe_steps,
             seconds=round(seconds, 4),
+            digest=self._digest,
         )

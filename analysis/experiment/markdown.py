@@ -9,10 +9,16 @@ from mapreplay.analysis.experiment.curve import OBSERVATIONS, CurveData
 from mapreplay.analysis.experiment.sweep import Setting
 from mapreplay.analysis.experiment.table import PAPER, Summary
 from mapreplay.analysis.metrics.calibration import calibration_scores, decided, score_interval
+from mapreplay.analysis.reporting.wording import (
+    MULTIPLE,
+    UNDEFINED,
+    change,
+    factor_digits,
+    p_number,
+)
 from mapreplay.analysis.stats.estimates import Estimate, mean_interval
 
 SHOWN_OBSERVATIONS = (1, 20, 50, 100, 200, 400)
-UNDEFINED = "-"
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -28,6 +34,18 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def percent(estimate: Estimate, digits: int = 1) -> str:
     """``48.7 [45.2, 51.7]``, of a share."""
     return _interval(estimate, 100, digits)
+
+
+def saved(estimate: Estimate, digits: int = 1) -> str:
+    """`percent` of a reduction of a time; where that is a multiple of the other's, how many times
+    as long it took: ``64 times as long [31, 97]``.
+    """
+    if not estimate.mean < MULTIPLE:
+        return percent(estimate, digits)
+    if math.isnan(estimate.low):
+        return change(estimate.mean)
+    low, high = (factor_digits(1 - bound) for bound in (estimate.high, estimate.low))
+    return f"{change(estimate.mean)} [{low}, {high}]"
 
 
 def number(estimate: Estimate, digits: int = 0) -> str:
@@ -56,11 +74,11 @@ def performance(summaries: Sequence[Summary]) -> str:
                 s.arm.predictor,
                 f"{s.plans} x {s.runs / s.plans:.3g}",
                 number(s.mapping_time),
-                UNDEFINED if s.arm.is_reference else percent(s.reduction),
+                UNDEFINED if s.arm.is_reference else saved(s.reduction),
                 UNDEFINED
                 if s.arm.is_reference
-                else f"{percent(s.reduction_finished)} ({s.reduction_finished.plans})",
-                _p(s.p),
+                else f"{saved(s.reduction_finished)} ({s.reduction_finished.plans})",
+                p_number(s.p),
             ]
             for s in here
         ]
@@ -81,7 +99,7 @@ def quality(summaries: Sequence[Summary]) -> str:
                 _maps(s),
                 s.arm.predictor,
                 number(s.correct_time),
-                UNDEFINED if s.arm.is_reference else percent(s.correct_reduction),
+                UNDEFINED if s.arm.is_reference else saved(s.correct_reduction),
                 number(s.path_length, 1),
                 number(s.f1, 3),
                 number(s.correct, 3),
@@ -108,7 +126,7 @@ def beside_the_paper(summaries: Sequence[Summary]) -> str:
             if (s.arm.dataset, s.arm.planner, s.arm.maps) == (dataset, planner, "fused/fused")
             and s.arm.predictor == dataset.lower()
         }
-        cells = [percent(ours[safe]) if safe in ours else UNDEFINED for safe in (True, False)]
+        cells = [saved(ours[safe]) if safe in ours else UNDEFINED for safe in (True, False)]
         rows.append([dataset, planner, f"{100 * theirs:.0f}", *cells])
     head = ["dataset", "planner", "paper, %", "ours with fail-safe, %", "ours without, %"]
     return table(head, rows)
@@ -185,8 +203,8 @@ def sweep(settings: Sequence[Setting]) -> str:
                     planner,
                     f"{100 * setting.delta_free:g}",
                     f"{100 * setting.delta_occupied:g}",
-                    f"{mark}{percent(s.reduction)}{mark}",
-                    percent(s.correct_reduction),
+                    f"{mark}{saved(s.reduction)}{mark}",
+                    saved(s.correct_reduction),
                     number(s.f1, 3),
                     number(s.correct, 3),
                     percent(s.sealed_in, 0),
@@ -201,8 +219,8 @@ def sweep(settings: Sequence[Setting]) -> str:
 def infill(summaries: Sequence[Summary]) -> str:
     """What a predictor would be worth that knew everything near the observed."""
     rows = [
-        [s.arm.dataset, s.arm.planner, s.arm.predictor, percent(s.reduction),
-         percent(s.correct_reduction), number(s.correct, 3), str(s.plans)]
+        [s.arm.dataset, s.arm.planner, s.arm.predictor, saved(s.reduction),
+         saved(s.correct_reduction), number(s.correct, 3), str(s.plans)]
         for s in summaries
         if not s.arm.is_reference
     ]  # fmt: skip
@@ -218,12 +236,6 @@ def _maps(summary: Summary) -> str:
 def _sizes(summaries: Sequence[Summary]) -> str:
     plans = max(s.plans for s in summaries)
     return f"{plans} floor plans, {sum(s.runs for s in summaries):,} episodes"
-
-
-def _p(p: float) -> str:
-    if math.isnan(p):
-        return UNDEFINED
-    return "< .001" if p < 0.001 else f"{p:.3f}".removeprefix("0")
 
 
 def _plain(value: float, digits: int) -> str:

@@ -66,7 +66,7 @@ def read_results(folder: Path) -> Results:
     if not (every or sweep):
         raise MapreplayError(f"{folder}: holds no finished episode of an experiment")
     example = folder / EXAMPLE_FILE
-    every = [row for row in every if not _said_twice(row)]
+    every = sorted((row for row in every if not _said_twice(row)), key=lambda row: row.key)
     oracle = [row for row in every if row.predictor.startswith(INFILL_PREFIX)]
     rows = [row for row in every if not row.predictor.startswith(INFILL_PREFIX)]
     baseline = [row for row in rows if Arm.of(row).is_reference]
@@ -245,9 +245,9 @@ def _finite(value: Any) -> Any:
 
 def _provenance(rows: Sequence[Row]) -> str:
     weights = sorted({(r.predictor, r.sha256) for r in rows if r.sha256})
-    hours = sum(row.seconds for row in rows) / 3600
+    hours = math.fsum(row.seconds for row in rows) / 3600
     lines = [f"- `{name}`: weights with SHA-256 `{sha}`" for name, sha in weights]
-    lines.append(f"- {len(rows):,} episodes, {hours:.2f} hours of CPU time in all")
+    lines.append(f"- {len(rows):,} episodes, {hours:.1f} hours of CPU time in all")
     return "\n".join(lines)
 
 

@@ -54,6 +54,17 @@ class Row:
     fail_safe_steps: int
     seconds: float
     """CPU time."""
+    digest: str = ""
+    """Of all that the episode depends on: configuration, floor plan, weights and code. Empty in
+    rows of versions that did not write it."""
+
+    @property
+    def key(self) -> tuple[str | bool | int, ...]:
+        """What it is a row of, to sort by: rows are on disk in the order in which they ended."""
+        return (
+            self.dataset, self.floor_plan, self.planner, self.plan_on, self.build, self.fail_safe,
+            self.seed, self.predictor, self.sha256,
+        )  # fmt: skip
 
     def to_json(self) -> str:
         """One line of JSON; NaN is null."""
@@ -71,7 +82,8 @@ class Row:
             ValueError: it is not JSON, or its keys are not those of a row.
         """
         values: Any = json.loads(line)
-        if not isinstance(values, dict) or set(values) != {f.name for f in fields(cls)}:
+        known = {f.name for f in fields(cls)}
+        if not isinstance(values, dict) or set(values) | {"digest"} != known:
             raise ValueError("not a row of an experiment")
         for name in _REALS:
             values[name] = math.nan if values[name] is None else float(values[name])

@@ -28,6 +28,15 @@ def jobs_left(jobs: Sequence[Job], file: RowFile) -> list[Job]:
                 f"{row.predictor} {row.sha256[:12]}, which is not of this experiment; choose "
                 "another --out"
             )
+    for job, of_job in identities:
+        rows = [there[each] for each in of_job if each in there]
+        others = [row.digest for row in rows if row.digest != job.digest(row.sha256)]
+        if others:
+            raise MapreplayError(
+                f"{file.path}: {_name(job)} was run with another configuration, floor plan or code "
+                f"(digest {others[0] or 'none'}, now {job.digest(rows[0].sha256)}); choose "
+                "another --out"
+            )
     return [job for job, of_job in identities if not all(each in there for each in of_job)]
 
 

@@ -15,6 +15,7 @@ import polars as pl
 
 from mapreplay.analysis.experiment.controls import CONTROLS
 from mapreplay.analysis.experiment.rows import Row
+from mapreplay.analysis.reporting.wording import MULTIPLE, change
 from mapreplay.analysis.stats.estimates import (
     Estimate,
     align,
@@ -102,9 +103,13 @@ class Summary:
 
 
 def summarize(rows: Iterable[Row]) -> list[Summary]:
-    """All arms of an experiment, by dataset, predictor, planner and configuration."""
+    """All arms of an experiment, by dataset, predictor, planner and configuration.
+
+    The same rows give the same numbers in whatever order they come: which worker ended first is in
+    no interval and in no p-value.
+    """
     arms: dict[Arm, list[Row]] = {}
-    for row in rows:
+    for row in sorted(rows, key=lambda row: row.key):
         arms.setdefault(Arm.of(row), []).append(row)
     ordered = sorted(arms, key=reading_order)
     summaries = []
@@ -240,6 +245,8 @@ def brief_frame(summaries: Sequence[Summary]) -> pl.DataFrame:
 def _percent(estimate: Estimate) -> str:
     if math.isnan(estimate.mean):
         return "-"
+    if estimate.mean < MULTIPLE:
+        return change(estimate.mean)
     low, high = (
         "?" if math.isnan(bound) else f"{100 * bound:.0f}"
         for bound in (estimate.low, estimate.high)

@@ -14,7 +14,7 @@ import polars as pl
 
 from mapreplay import kernels as simulator
 from mapreplay import mapping
-from mapreplay.analysis.experiment.markdown import number, percent, table
+from mapreplay.analysis.experiment.markdown import number, saved, table
 from mapreplay.analysis.limits.bound import lower_bound
 from mapreplay.analysis.limits.cache import remembered
 from mapreplay.analysis.limits.predicted import Known, predicted_tour
@@ -254,7 +254,7 @@ def limits_summary(rows: Sequence[PlanLimit]) -> pl.DataFrame:
 def limits_markdown(rows: Sequence[PlanLimit]) -> str:
     """The means as a table in Markdown."""
     lines = [
-        [s.known, LIMITS[s.limit], number(s.moves), percent(s.reduction), str(s.moves.plans)]
+        [s.known, LIMITS[s.limit], number(s.moves), saved(s.reduction), str(s.moves.plans)]
         for s in mean_limits(rows)
     ]
     head = ["counts as known", "limit", "moves", "reduction, %", "plans"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from mapreplay.analysis.stats.estimates import Estimate
 
 UNDEFINED = "-"
@@ -38,7 +40,69 @@ def percent(estimate: Estimate) -> str:
 
 
 def p_value(p: float) -> str:
-    """Two digits, and no more zeros than one can read."""
+    """``p = 0.031``, ``p < 0.001``."""
+    return f"p {_compared(p)}"
+
+
+def p_number(p: float) -> str:
+    """``0.031``, ``< 0.001``: in a column whose head says p."""
+    return _compared(p).removeprefix("= ")
+
+
+SMALLEST_P: Final = 0.001
+"""Below, nobody needs digits."""
+
+
+def _compared(p: float) -> str:
     if p != p:
         return UNDEFINED
-    return f"{p:.2g}" if p >= 0.0001 else "<0.0001"
+    if p < SMALLEST_P:
+        return f"< {SMALLEST_P}"
+    return "> 0.99" if 0.99 < p < 1 else f"= {p:.2g}"
+
+
+MULTIPLE: Final = -1.0
+"""A reduction of a time below this is said as a multiple of the other time."""
+
+
+def reduction(estimate: Estimate) -> str:
+    """What a time is beside another, of the reduction ``1 - time / other``, which is at most 1.
+
+    ``reduced by 47.1 % (32.8 to 53.8 %)``, ``7.4 % longer (2.0 to 11.3 %)``, ``64 times as long
+    (31 to 97 times)``; where the interval has other signs, they are said with its ends. A time
+    cannot be reduced by less than nothing, and nobody can read a reduction by -6337 %.
+    """
+    mean, low, high = estimate.mean, estimate.low, estimate.high
+    if mean != mean:
+        return "not comparable"
+    said = f"reduced by {share(mean)}" if mean >= 0 else change(mean)
+    if low != low:
+        return said
+    if low >= 0:
+        return f"{said} ({100 * low:.1f} to {100 * high:.1f} %)"
+    if high < MULTIPLE:
+        return f"{said} ({times(1 - high)} to {times(1 - low)})"
+    if low >= MULTIPLE and high < 0:
+        return f"{said} ({-100 * high:.1f} to {-100 * low:.1f} %)"
+    return f"{said} ({change(low)} to {change(high)})"
+
+
+def change(reduction: float) -> str:
+    """``40.0 % less``, ``7.4 % longer`` or ``64 times as long``, of one reduction of a time."""
+    if reduction != reduction:
+        return UNDEFINED
+    if reduction >= 0:
+        return f"{share(reduction)} less"
+    if reduction >= MULTIPLE:
+        return f"{share(-reduction)} longer"
+    return f"{times(1 - reduction)} as long"
+
+
+def times(factor: float) -> str:
+    """``64 times``, ``2.5 times``."""
+    return f"{factor_digits(factor)} times"
+
+
+def factor_digits(factor: float) -> str:
+    """``64``, ``2.5``."""
+    return f"{factor:.0f}" if factor >= 10 else f"{factor:.1f}"

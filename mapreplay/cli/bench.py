@@ -111,7 +111,7 @@ def worth(
     import polars as pl
 
     from mapreplay.analysis.benchmarks.simulator import mean_worth, measure_worth
-    from mapreplay.analysis.reporting.wording import counted, percent, with_interval
+    from mapreplay.analysis.reporting.wording import counted, percent, reduction, with_interval
     from mapreplay.cli.progress import progress_bar
     from mapreplay.predictors import load_predictor
 
@@ -130,7 +130,7 @@ def worth(
         raise FloorPlanError(f"{floorplans}: no floor plan to measure on")
     mean = mean_worth(rows)
     note(
-        f"{counted(mean.reduction.plans, 'floor plan')}: reduction {percent(mean.reduction)}, "
+        f"{counted(mean.reduction.plans, 'floor plan')}: mapping time {reduction(mean.reduction)}, "
         f"correct coverage {with_interval(mean.correct, 3)}, F1 {with_interval(mean.f1, 3)}"
     )
     note(

@@ -138,7 +138,7 @@ def _text(result: Comparison) -> list[str | Command | pl.DataFrame]:
     import polars as pl
 
     from mapreplay.analysis.comparison.compare import MEASURES
-    from mapreplay.analysis.reporting.wording import counted, p_value, percent
+    from mapreplay.analysis.reporting.wording import counted, p_value, reduction
 
     plans = len(result.places)
     more = sum(1 + len(SHORT[m.name]) for m in result.measures if m not in MEASURES)
@@ -168,23 +168,23 @@ def _text(result: Comparison) -> list[str | Command | pl.DataFrame]:
         both = saving.both
         shown += [
             "",
-            f"{saving.group} against {result.baseline}: mapping time reduced by "
-            + percent(saving.reduction),
+            f"{saving.group} against {result.baseline}: mapping time "
+            + reduction(saving.reduction),
         ]
         if both.plans < plans:
             shown.append(
-                f"On the {counted(both.plans, 'floor plan')} that both mapped: {percent(both)}"
+                f"On the {counted(both.plans, 'floor plan')} that both mapped: {reduction(both)}"
             )
         shown.append(_against(effects))
         m = saving.success
         if m.only_candidate or m.only_reference:
-            sure = f"p {p_value(m.p)}, Holm {p_value(saving.success_p_holm)}"
+            sure = f"{p_value(m.p)}, Holm: {p_value(saving.success_p_holm)}"
             shown.append(
                 f"Mapped by {saving.group} alone: {m.only_candidate}, by {result.baseline} alone: "
                 f"{m.only_reference} (McNemar, exact: {sure})"
             )
     if result.all_alike is not None:
-        shown += ["", f"Friedman's test of the mapping times: p {p_value(result.all_alike.p)}"]
+        shown += ["", f"Friedman's test of the mapping times: {p_value(result.all_alike.p)}"]
     if result.notes:
         shown += ["", *(f"- {line}" for line in result.notes)]
     return shown
@@ -193,6 +193,8 @@ def _text(result: Comparison) -> list[str | Command | pl.DataFrame]:
 def _against(effects: list[Effect]) -> pl.DataFrame:
     import polars as pl
 
+    from mapreplay.analysis.reporting.wording import p_number
+
     return pl.DataFrame(
         {
             "difference": [e.measure for e in effects],
@@ -200,7 +202,7 @@ def _against(effects: list[Effect]) -> pl.DataFrame:
             "from": [e.difference.low for e in effects],
             "to": [e.difference.high for e in effects],
             "plans": [e.difference.plans for e in effects],
-            "p": [e.test.p for e in effects],
-            "p Holm": [e.p_holm for e in effects],
+            "p": [p_number(e.test.p) for e in effects],
+            "p Holm": [p_number(e.p_holm) for e in effects],
         }
     ).with_columns(pl.col(pl.Float64).fill_nan(None))

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mapreplay.cli.output import note, say
-from mapreplay.errors import MapreplayError, UsageError
-from mapreplay.files import make_folder, write_whole
+from mapreplay.errors import UsageError
+from mapreplay.files import make_folder
 
 if TYPE_CHECKING:
     from mapreplay.analysis.experiment.config import Dataset, ExperimentConfig
@@ -46,9 +46,11 @@ def experiment(
     Every finished episode is kept: repeat the command to go on after a stop.
     """
     from mapreplay.analysis.experiment.config import ExperimentConfig
+    from mapreplay.analysis.experiment.origin import check_settings
     from mapreplay.analysis.experiment.report import write_report
 
     settings = ExperimentConfig.read(_find(config)).only(tuple(dataset or ()))
+    check_settings(out, settings)  # before floor plans are loaded
     if not report_only:
         _make(settings, _places(floorplans or [], settings), out, jobs or os.cpu_count() or 1)
     for path in write_report(out, docs, Path(config).stem):
@@ -87,7 +89,7 @@ def _make(settings: ExperimentConfig, places: dict[str, str], out: Path, process
     from mapreplay.analysis.experiment.sweep import setting_folder
 
     plans = {d.name: d.load(places.get(d.name)) for d in settings.datasets}
-    _keep_settings(settings, out)
+    _keep_settings(settings, plans, out)
 
     def simulate(what: ExperimentConfig, folder: Path) -> None:
         jobs = [job for d in what.datasets for job in jobs_of(what, d, plans[d.name])]
@@ -104,20 +106,15 @@ def _make(settings: ExperimentConfig, places: dict[str, str], out: Path, process
         simulate(one, setting_folder(out, one.delta_free, one.delta_occupied))
 
 
-def _keep_settings(settings: ExperimentConfig, out: Path) -> None:
+def _keep_settings(
+    settings: ExperimentConfig, plans: dict[str, list[FloorPlan]], out: Path
+) -> None:
     """Write down what `out` is of, so that no other experiment is mixed with it."""
+    from mapreplay.analysis.experiment.origin import Origin, keep_origin
+
     make_folder(out)
-    for name, text in settings.per_dataset().items():
-        path = out / f"settings-{name}.json"
-        try:
-            there = path.read_bytes()
-        except FileNotFoundError:
-            write_whole(path, text.encode())
-        except OSError as error:
-            raise MapreplayError(f"{path}: cannot be read ({error.strerror})") from None
-        else:
-            if there != text.encode():
-                raise UsageError(f"{path}: another experiment is there; choose another --out")
+    for d in settings.datasets:
+        keep_origin(out, d.name, Origin.of(settings, d, plans[d.name]))
 
 
 def _simulate(jobs: list[Job], path: Path, processes: int) -> None:
@@ -152,10 +149,13 @@ def _measure_curve(
         return
     predictor = load_predictor(dataset.predictor)
     path = out / f"curve-{dataset.name}.npz"
-    if path.exists() and load_curve(path).predictor == predictor.identity:
-        return
     thresholds = Thresholds(settings.delta_free, settings.delta_occupied)
     chosen = plans[: dataset.curve_plans]
+    if path.exists():
+        there = load_curve(path)
+        same_plans = [plan.floor_plan for plan in there.plans] == [plan.id for plan in chosen]
+        if same_plans and there.predictor == predictor.identity:
+            return
     measure_curve(dataset.name, chosen, predictor, thresholds).save(out)
     note(f"wrote {path}")
 

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from episodes import floor_plan, made_up
 from mapreplay.analysis.comparison.compare import TIME, Comparison, compare, comparison_frame
@@ -258,3 +260,15 @@ def test_intervals_cover_and_tests_keep_their_level() -> None:
         rejected += time.test.p <= 0.05
     assert 0.90 * rounds <= covered <= 0.98 * rounds
     assert rejected <= 0.09 * rounds
+
+
+@given(st.permutations(range(30)))
+@settings(max_examples=5, deadline=None)
+def test_the_order_of_the_episodes_is_in_no_number(order: list[int]) -> None:
+    draw = np.random.default_rng(0)
+    times = draw.integers(20, 300, 30).tolist()
+    episodes = nearest(times[:15]) + utility(times[15:])
+    shuffled = of([episodes[k] for k in order], baseline="nearest")
+    assert comparison_frame(shuffled).equals(
+        comparison_frame(of(episodes, baseline="nearest")), null_equal=True
+    )

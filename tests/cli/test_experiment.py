@@ -1,11 +1,14 @@
 """`mapreplay experiment`: from training to tables and figures, and what can be wrong with it."""
 
 import json
+import random
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from commands import Run
+from mapreplay.floorplans import procedural
 
 SAMPLES = Path(__file__).parents[2] / "samples" / "experiments"
 TINY = SAMPLES / "tiny.toml"
@@ -55,11 +58,68 @@ def test_the_whole_pipeline(cli: Run, tmp_path: Path) -> None:
     assert len((out / "rows.jsonl").read_text().splitlines()) == len(rows)
     assert json.loads((out / "results.json").read_text())["table"] == results["table"]
 
+    # The order of the rows is that in which workers ended: it is in no number.
+    reports = [(out / name).read_bytes() for name in ("results.md", "results.json")]
+    shuffled = (out / "rows.jsonl").read_text().splitlines(keepends=True)
+    random.Random(1).shuffle(shuffled)
+    (out / "rows.jsonl").write_text("".join(shuffled))
+    assert cli("experiment", config, "--out", out, "--report-only").code == 0
+    assert [(out / name).read_bytes() for name in ("results.md", "results.json")] == reports
+
     changed = tmp_path / "changed.toml"
     changed.write_text(config.read_text().replace("coverage = 0.9", "coverage = 0.8"))
-    refused = cli("experiment", changed, "--out", out)
+    for more in ([], ["--report-only"]):
+        refused = cli("experiment", changed, "--out", out, *more)
+        assert refused.code == 2
+        told = "another experiment is there (coverage 0.9, now 0.8); choose another --out"
+        assert told in refused.err
+    content = bytearray(weights.read_bytes())
+    content[-1] ^= 1
+    weights.write_bytes(content)
+    refused = cli("experiment", config, "--out", out, "--jobs", 1)
     assert refused.code == 2
-    assert "another experiment is there; choose another --out" in refused.err
+    assert "another experiment is there (weights " in refused.err
+
+
+def test_other_floor_plans_or_code_are_refused_and_more_floor_plans_are_not(
+    cli: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = tmp_path / "small.toml"
+    config.write_text(
+        'coverage = 0.9\n[[datasets]]\nname = "D1"\nfloorplans = "procedural:5"\n'
+        'predictor = "none"\nwall-share = 0.1\ncurve-plans = 0\n'
+        '[[planners]]\nplanner = "nearest"\n[[maps]]\nplan-on = "observed"\nbuild = "observed"\n'
+    )
+    command = ("experiment", config, "--out", tmp_path / "out", "--jobs", 1)
+    assert cli(*command).code == 0
+    assert "1 of 1 simulations are there" in cli(*command).err
+    assert "1 of 2 simulations are there" in cli(*command, "--floorplans", "D1=procedural:5-6").err
+    rows = [json.loads(r) for r in (tmp_path / "out" / "rows.jsonl").read_text().splitlines()]
+    assert len({row["digest"] for row in rows} - {""}) == 2
+
+    real = procedural.generate
+    with monkeypatch.context() as patch:
+        patch.setattr(
+            procedural,
+            "generate",
+            lambda n, *rest: replace(real(n + 1, *rest), id=f"procedural-{n}"),
+        )
+        refused = cli(*command)
+    assert refused.code == 2
+    assert "another experiment is there (other cells of floor plan procedural-5)" in refused.err
+    with monkeypatch.context() as patch:
+        patch.setattr("mapreplay.analysis.experiment.origin.code_digest", lambda: 64 * "1")
+        refused = cli(*command)
+    assert "another experiment is there (code of mapreplay " in refused.err
+    assert "now 111111111111)" in refused.err
+    (tmp_path / "out" / "settings-D1.json").unlink()  # rows of elsewhere, copied into a folder
+    with monkeypatch.context() as patch:
+        patch.setattr("mapreplay.analysis.experiment.jobs.code_digest", lambda: 64 * "1")
+        refused = cli(*command, "--floorplans", "D1=procedural:5-6")
+    assert refused.code == 1
+    assert "nearest on procedural-5, seed 1 was run with another configuration" in refused.err
+    (tmp_path / "out" / "settings-D1.json").write_text('{"of": "an earlier version"}')
+    assert "does not say what the results there were made of" in cli(*command).err
 
 
 @pytest.mark.parametrize(

@@ -102,8 +102,10 @@ def test_a_sweep_is_the_experiment_at_every_pair() -> None:
 
 def test_an_experiment_may_grow_but_not_change() -> None:
     one = of()
-    assert one.per_dataset() == of(planners=[{"planner": "random", "runs": 5}]).per_dataset()
-    assert one.per_dataset() != of(coverage=0.9).per_dataset()
+    more = of(planners=[{"planner": "random", "runs": 5}])
+    (dataset,) = one.datasets
+    assert one.of_dataset(dataset) == more.of_dataset(dataset)
+    assert one.of_dataset(dataset) != of(coverage=0.9).of_dataset(dataset)
 
 
 def test_datasets_are_chosen_by_name() -> None:

@@ -1,8 +1,11 @@
 """The table, on rows whose answer can be seen."""
 
 import math
+import random
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from experiments import ROW
 from mapreplay.analysis.experiment.rows import Row
@@ -125,3 +128,16 @@ def test_undefined_scores_stay_undefined() -> None:
     (summary,) = summarize([ROW(f1=math.nan)])
     assert math.isnan(summary.f1.mean)
     assert summary_frame([summary])["f1"].item() is None
+
+
+@given(st.permutations(range(60)))
+@settings(max_examples=5, deadline=None)
+def test_which_worker_ended_first_is_in_no_number(order: list[int]) -> None:
+    """More plans than have an exact test, several runs each: everything is resampled."""
+    draw = random.Random(0)
+    rows = []
+    for k in range(60):
+        planner = "nearest" if k % 30 < 15 else "random"
+        numbers = {"mapping_time": draw.randint(50, 300), "f1": draw.random()}
+        rows.append(ROW(floor_plan=f"p{k % 15}", seed=1 + k // 30, planner=planner, **numbers))
+    assert repr(summarize([rows[k] for k in order])) == repr(summarize(rows))
