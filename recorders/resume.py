@@ -28,9 +28,9 @@ class Resumption:
 def resume(tasks: Sequence[Task], predictor: Predictor) -> Resumption:
     """Find the episodes of `tasks` that are finished.
 
-    An episode is finished if its log is there and says what this one would: configuration,
-    floor plan, start, budget and predictor. The versions of libraries may differ; each log
-    has its own. Tasks that may overwrite (`Task.force`) do so with logs that say otherwise.
+    An episode is finished if its log is there and its header says what this run would write:
+    configuration, floor plan, start, budget, predictor and weights, and the versions of what the
+    result depends on. Tasks that may overwrite (`Task.force`) do so with logs that say otherwise.
 
     Raises:
         LogError: a log of that name is of another episode, unfinished or damaged, and may not
@@ -51,14 +51,9 @@ def _is_finished(path: Path, header: EpisodeHeader, *, force: bool) -> bool:
         log = EpisodeLog(path)
         if not log.finished:
             raise LogError(f"{path}: {log.state}")
-        wanted, found = episode_pairs(header), episode_pairs(log.header)
-        others = [
-            key
-            for key in (wanted | found)
-            if wanted.get(key) != found.get(key) and key not in _MAY_DIFFER
-        ]
+        others = header_differences(log.header, header)
         if others:
-            raise LogError(f"{path}: a log of another episode ({', '.join(others)} differ)")
+            raise LogError(f"{path}: a log of another episode ({'; '.join(others)})")
     except LogError as error:
         if force:
             return False
@@ -68,4 +63,33 @@ def _is_finished(path: Path, header: EpisodeHeader, *, force: bool) -> bool:
     return True
 
 
-_MAY_DIFFER = {"versions", "crc32"}
+def header_differences(there: EpisodeHeader, here: EpisodeHeader) -> list[str]:
+    """In what a log differs from the one that would be written, each in a few words."""
+    then, now = _facts(there), _facts(here)
+    return [
+        f"{name} {then.get(name, 'none')}, here {now.get(name, 'none')}"
+        for name in (then | now)
+        if then.get(name) != now.get(name)
+    ]
+
+
+def _facts(header: EpisodeHeader) -> dict[str, str]:
+    """Everything that a header says, by a name for people."""
+    config = {
+        key.replace("_", "-"): str(value)
+        for key, value in header.config.model_dump(mode="json").items()
+    }
+    pairs = episode_pairs(header)
+    said_otherwise = {
+        "config", "versions", "crc32", "seed", "start", "max_steps", "predictor",
+        "predictor_sha256",
+    }  # fmt: skip
+    return {
+        **config,
+        **{key.replace("_", " "): pairs[key] for key in pairs if key not in said_otherwise},
+        "start cell": pairs["start"],
+        "budget": str(header.max_steps),
+        "predictor": header.predictor.name,
+        "weights": header.predictor.sha256[:12] or "none",
+        **{f"version of {name}": version for name, version in header.versions},
+    }

@@ -5,12 +5,17 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import psutil
 import pytest
 
 from commands import Run
+from mapreplay.episode import versions
+from mapreplay.floorplans import procedural
+from mapreplay.predictors import NoPredictor
+from mapreplay.step import PredictorIdentity
 
 COMMAND = ("run", "--planner", "nearest", "--predictor", "none", "--plan-on", "observed",
            "--build", "observed", "--floorplans", "procedural:7-9", "--max-steps", 12)  # fmt: skip
@@ -57,8 +62,12 @@ def test_it_starts_where_there_is_nothing(
 @pytest.mark.parametrize(
     ("option", "reason"),
     [
-        (("--coverage", 0.5), "a log of another episode (config differ)"),
-        (("--max-steps", 13), "a log of another episode (config, max_steps differ)"),
+        (("--coverage", 0.5), "a log of another episode (coverage 0.98, here 0.5);"),
+        (
+            ("--max-steps", 13),
+            "a log of another episode (max-steps 12, here 13; budget 12, here 13);",
+        ),
+        (("--start", "3,3"), "a log of another episode (start None, here [3, 3]; start cell ["),
     ],
 )
 def test_logs_of_another_run_are_refused_before_anything_is_recorded(
@@ -125,3 +134,34 @@ def test_after_a_worker_was_killed_the_run_says_how_to_go_on_and_can(
     assert result.code == 0, result.err
     assert "5 of 6 episodes are finished already" in result.err
     assert len(content(tmp_path)) == len(list(tmp_path.glob("*.mcap"))) == 6
+
+
+def test_logs_of_other_plans_weights_or_versions_are_refused(
+    cli: Run, tmp_path: Path, undisturbed: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Under the same name and with the same options."""
+    first = sorted(undisturbed)[0]
+    (tmp_path / first).write_bytes(undisturbed[first])
+
+    def refused() -> str:
+        result = cli(*COMMAND, "--out", tmp_path, "--resume")
+        assert (result.code, result.err.count("\n")) == (1, 1)
+        assert content(tmp_path) == {first: undisturbed[first]}
+        return result.err
+
+    real = procedural.generate
+    with monkeypatch.context() as patch:
+        patch.setattr(
+            procedural,
+            "generate",
+            lambda n, *rest: replace(real(n + 1, *rest), id=f"procedural-{n}"),
+        )
+        assert f"{first}: a log of another episode (" in (said := refused())
+        assert "floor plan sha256 " in said
+    with monkeypatch.context() as patch:
+        later = tuple((name, "9.9" if name == "mapreplay" else v) for name, v in versions())
+        patch.setattr("mapreplay.episode.versions", lambda: later)
+        assert f"(version of mapreplay {dict(versions())['mapreplay']}, here 9.9);" in refused()
+    with monkeypatch.context() as patch:
+        patch.setattr(NoPredictor, "identity", PredictorIdentity("none", 64 * "1"))
+        assert "(weights none, here 111111111111);" in refused()
