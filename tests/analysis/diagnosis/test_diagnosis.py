@@ -16,7 +16,7 @@ from beliefs import belief
 from drawing import draw
 from mapreplay.analysis.diagnosis.blame import trace_blame
 from mapreplay.analysis.diagnosis.claims import Claims
-from mapreplay.analysis.diagnosis.corpus import costs, groups, kind_counts
+from mapreplay.analysis.diagnosis.corpus import corpus_record, costs, groups, kind_counts
 from mapreplay.analysis.diagnosis.detect import Ending, NearMissKind, runs
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, diagnose
 from mapreplay.analysis.diagnosis.frame import sealing_frame
@@ -462,6 +462,20 @@ def test_what_it_cost_to_get_out(diagnosis: Diagnosis, tmp_path: Path) -> None:
     assert cost.metres.mean == sealing.metres
     assert cost.share.mean == sealing.moves / (freed.steps - 1)
     assert costs([diagnosis]) == []
+
+
+def test_the_order_of_the_logs_is_in_no_interval(tmp_path: Path) -> None:
+    freed = diagnose(recorded(tmp_path / "a.mcap", episode(always(LEFT_ROOM), fail_safe=True)))
+    many = [
+        replace(
+            freed,
+            steps=freed.steps + k * k,
+            header=replace(freed.header, floor_plan=replace(freed.header.floor_plan, id=f"p{k}")),
+        )
+        for k in range(9)
+    ]
+    shuffled = [many[k] for k in (3, 8, 1, 0, 7, 2, 6, 5, 4)]
+    assert corpus_record(shuffled) == corpus_record(many)
 
 
 def test_claims_are_right_as_often_as_counted() -> None:
