@@ -174,46 +174,36 @@ class Worker(Generic[T, R]):
 
 
 def run_each(
-    work: Callable[[T], Iterable[R]], items: Iterable[T], jobs: int
+    work: Callable[[T], Iterable[R]], items: Sequence[T], jobs: int
 ) -> Generator[Event[R], None, None]:
     """Work on all items with `jobs` processes; events come as they happen.
 
     Closing the generator stops the processes, each after what it says next, or after five seconds
-    if it says nothing. An item is fetched
-    when a process can have it, so `items` may be large.
+    if it says nothing.
 
     Raises:
         BaseException: what `work` raised; it ends the rest.
     """
-    waiting = enumerate(items)
-    again: deque[tuple[int, T]] = deque()
-    under_way: dict[int, T] = {}
+    waiting = deque(range(len(items)))
     workers: dict[Connection, Worker[T, R]] = {}
 
-    def following() -> tuple[int, T] | None:
-        return again.popleft() if again else next(waiting, None)
-
-    def give(worker: Worker[T, R], numbered: tuple[int, T]) -> None:
-        number, item = numbered
-        under_way[number] = item
-        worker.give(number, item)
+    def give(worker: Worker[T, R]) -> None:
+        number = waiting.popleft()
+        worker.give(number, items[number])
 
     def give_ahead(worker: Worker[T, R]) -> None:
-        """The next item, so that the process does not wait for us when it is done with this."""
-        numbered = following()
-        if numbered is None:
-            return
-        if len(ForkingPickler.dumps(numbered[1])) < _SMALL:
-            give(worker, numbered)
-        else:
-            again.append(numbered)
+        """The next item, so that the process does not wait for us when it is done with this; but
+        not of the last ones, for which another process may be free sooner.
+        """
+        if len(waiting) >= jobs and len(ForkingPickler.dumps(items[waiting[0]])) < _SMALL:
+            give(worker)
 
     try:
         while True:
-            while len(workers) < jobs and (numbered := following()) is not None:
+            while len(workers) < jobs and waiting:
                 worker = Worker[T, R](work)
                 workers[worker.connection] = worker
-                give(worker, numbered)
+                give(worker)
             if not workers:
                 return
             for ready in connection.wait(list(workers)):
@@ -222,18 +212,16 @@ def run_each(
                 if isinstance(event, Said):
                     yield event
                     continue
-                under_way.pop(event.item, None)
                 if isinstance(event, Died):
                     del workers[worker.connection]
-                    again.extend((number, under_way[number]) for number in worker.items)
+                    waiting.extendleft(worker.items)  # what it had not begun
                     worker.connection.close()
-                elif not worker.items and (numbered := following()) is not None:
-                    give(worker, numbered)
-                    give_ahead(worker)
-                elif not worker.items:
+                elif not worker.items and not waiting:
                     del workers[worker.connection]
                     _stop([worker])
-                elif len(worker.items) == 1:
+                else:
+                    if not worker.items:
+                        give(worker)
                     give_ahead(worker)
                 yield event
     finally:
