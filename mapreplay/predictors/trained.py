@@ -10,7 +10,7 @@ import numpy.typing as npt
 import torch
 from torch import nn
 
-from mapreplay.errors import UsageError
+from mapreplay.errors import UsageError, WeightsError
 from mapreplay.grid import Grid
 from mapreplay.predictors.architectures import Architecture, architecture_of
 from mapreplay.predictors.network import EagerNetwork, pad_to_multiple
@@ -60,8 +60,11 @@ def load_network(path: Path, device: str, name: str | None = None) -> TrainedPre
         WeightsError: it cannot be read, or holds the weights of another network.
         UsageError: there is no such device.
     """
+    sha256 = file_sha256(path)
     model, architecture = load_model(path)
-    identity = PredictorIdentity(name or path.name, file_sha256(path))
+    if file_sha256(path) != sha256:  # what is logged is what was loaded
+        raise WeightsError(f"{path}: was replaced while it was read; try again")
+    identity = PredictorIdentity(name or path.name, sha256)
     try:
         return TrainedPredictor(model, architecture, identity, device)
     except (RuntimeError, AssertionError) as error:

@@ -100,7 +100,7 @@ def test_every_verb_takes_them_by_name(cli: Run, theirs: None, tmp_path: Path) -
     worth = cli("bench", "worth", "--predictor", "optimist", "--floorplans", "boxes:1",
                 "--format", "json")  # fmt: skip
     assert json.loads(worth.out)["rows"][0]["floor_plan"] == "box-0"
-    assert "1 floor plan: reduction" in worth.err
+    assert "1 floor plan: mapping time reduced by 97.2 %" in worth.err
     assert "predictions of unobserved cells: ECE" in worth.err
 
 

@@ -10,7 +10,8 @@ import pytest
 import torch
 
 from mapreplay.errors import WeightsError
-from mapreplay.predictors import load_predictor, weights
+from mapreplay.predictors import load_predictor, trained, weights
+from mapreplay.predictors.architectures import AUTOENCODER
 from mapreplay.predictors.weights import encode_tensors
 
 
@@ -85,3 +86,28 @@ def test_a_file_that_is_too_large_is_not_opened(
     monkeypatch.setattr(weights, "MAX_BYTES", 1000)
     with pytest.raises(WeightsError, match=r"x\.safetensors: 0 MiB; at most 0 are allowed"):
         load_predictor(str(path))
+
+
+def test_weights_that_are_replaced_while_they_are_read_are_not_logged_under_another_hash(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.safetensors"
+    whole = encode_tensors(AUTOENCODER.build().state_dict(), {})
+    path.write_bytes(whole)
+    load = trained.load_model
+
+    def replaced(weights: Path) -> object:
+        loaded = load(weights)
+        path.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
+        return loaded
+
+    monkeypatch.setattr(trained, "load_model", replaced)
+    with pytest.raises(WeightsError, match="was replaced while it was read"):
+        load_predictor(str(path))
+
+
+def test_a_file_of_weights_is_a_regular_file(tmp_path: Path) -> None:
+    folder = tmp_path / "folder.safetensors"
+    folder.mkdir()
+    with pytest.raises(WeightsError, match="not a regular file"):
+        load_predictor(str(folder))
