@@ -24,7 +24,14 @@ class WorkerError(MapreplayError):
 
 def default_jobs(pieces: int) -> int:
     """As many processes as there are cores, and work for them."""
-    return max(1, min(os.cpu_count() or 1, pieces // WORTH_A_PROCESS))
+    return max(1, min(cores(), pieces // WORTH_A_PROCESS))
+
+
+def cores() -> int:
+    """Cores that this process may use: in a container, or by taskset, not all of the machine's."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def map_unordered(

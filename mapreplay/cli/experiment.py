@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -52,7 +51,9 @@ def experiment(
     settings = ExperimentConfig.read(_find(config)).only(tuple(dataset or ()))
     check_settings(out, settings)  # before floor plans are loaded
     if not report_only:
-        _make(settings, _places(floorplans or [], settings), out, jobs or os.cpu_count() or 1)
+        from mapreplay.analysis.pool import cores
+
+        _make(settings, _places(floorplans or [], settings), out, jobs or cores())
     for path in write_report(out, docs, Path(config).stem):
         note(f"wrote {path}")
     say((out / "results.md").read_text(encoding="utf-8"))

@@ -140,5 +140,5 @@ def test_the_death_of_a_process_is_one_line() -> None:
 
 
 def test_a_few_logs_are_not_worth_a_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "cpu_count", lambda: 4)
+    monkeypatch.setattr("mapreplay.analysis.pool.cores", lambda: 4)
     assert [default_jobs(n) for n in (0, 1, 31, 32, 1000)] == [1, 1, 1, 2, 4]

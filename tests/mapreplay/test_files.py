@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from mapreplay.errors import ExistsError, WriteError
-from mapreplay.files import check_new, write_whole
+from mapreplay.files import check_new, make_folder, whole_path, write_whole
 
 
 def _names(folder: Path) -> list[str]:
@@ -77,3 +77,50 @@ def test_a_name_taken_meanwhile_is_respected(tmp_path: Path) -> None:
         write_whole(path, blocks())
     assert path.read_bytes() == b"theirs"
     assert _names(tmp_path) == ["a.csv"]
+
+
+def test_what_is_replaced_gives_its_permissions(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes(b"old")
+    path.chmod(0o640)
+    write_whole(path, b"new", force=True)
+    assert path.stat().st_mode & 0o777 == 0o640
+
+
+def test_an_ending_of_any_length_is_written(tmp_path: Path) -> None:
+    path = tmp_path / ("a." + "x" * 250)
+    write_whole(path, b"new")
+    assert _names(tmp_path) == [path.name]
+
+
+@pytest.mark.parametrize("name", ["x" * 300, "a\0b", "file/below"])
+def test_a_name_that_cannot_be_is_one_error(tmp_path: Path, name: str) -> None:
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(WriteError, match=r"cannot be written \(.+\)"):
+        write_whole(tmp_path / name, b"new")
+    with pytest.raises((ExistsError, WriteError)):
+        make_folder(tmp_path / name)
+    assert _names(tmp_path) == ["file"]
+
+
+def test_a_link_that_came_meanwhile_is_not_written_through(tmp_path: Path) -> None:
+    path, target = tmp_path / "a.csv", tmp_path / "target"
+    target.write_bytes(b"theirs")
+
+    def blocks() -> Iterator[bytes]:
+        path.symlink_to(target)
+        yield b"ours"
+
+    with pytest.raises(ExistsError, match="is a link"):
+        write_whole(path, blocks(), force=True)
+    assert target.read_bytes() == b"theirs"
+    assert _names(tmp_path) == ["a.csv", "target"]
+
+
+def test_a_folder_that_cannot_be_written_to_is_found_before_any_work(tmp_path: Path) -> None:
+    if not Path("/proc/self").exists():
+        pytest.skip("there is no folder here that even root cannot write to")
+    worked = False
+    with pytest.raises(WriteError, match="cannot be written"), whole_path(Path("/proc/a.csv")):
+        worked = True
+    assert not worked
