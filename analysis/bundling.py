@@ -13,7 +13,7 @@ import json
 import zipfile
 from dataclasses import dataclass
 from itertools import takewhile
-from pathlib import Path
+from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 from typing import Final
 
@@ -21,7 +21,7 @@ import numpy as np
 
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, diagnose
 from mapreplay.analysis.diagnosis.marks import sealing_marks
-from mapreplay.analysis.diagnosis.paragraph import paragraph
+from mapreplay.analysis.diagnosis.paragraph import paragraph, what_if
 from mapreplay.analysis.diagnosis.record import record_of, to_json
 from mapreplay.config import WEIGHTS_ENDING
 from mapreplay.errors import LogError, UsageError
@@ -30,6 +30,7 @@ from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.recorders.pictures.layers import MapView
 from mapreplay.recorders.pictures.painter import MapPainter
+from mapreplay.text import printable, shell_command
 
 SCHEMA: Final = "mapreplay.bundle/1"
 LOG_NAME: Final = "episode.mcap"
@@ -84,7 +85,7 @@ def make_bundle(log: EpisodeLog, until: int | None = None) -> Bundle:
             "config.json": _config(packed),
             "diagnosis.json": to_json(record_of(diagnosis)),
             "diagnosis.png": _picture(packed, diagnosis),
-            "diagnosis.txt": (paragraph(diagnosis, LOG_NAME) + "\n").encode(),
+            "diagnosis.txt": (_told(diagnosis) + "\n").encode(),
         }
     return Bundle(_zip(files), len(packed), last == log.last)
 
@@ -128,6 +129,12 @@ def _picture(log: EpisodeLog, diagnosis: Diagnosis) -> bytes:
     return bytes(data)
 
 
+def _told(diagnosis: Diagnosis) -> str:
+    command = what_if(diagnosis, PurePath(LOG_NAME))
+    said = printable(paragraph(diagnosis))
+    return f"{said} What if: {shell_command(command)}" if command else said
+
+
 def _read_me(log: EpisodeLog, diagnosis: Diagnosis) -> str:
     what_if = ""
     if diagnosis.sealings:
@@ -135,8 +142,9 @@ def _read_me(log: EpisodeLog, diagnosis: Diagnosis) -> str:
         what_if = f"    mapreplay branch {LOG_NAME} --at {at} --with truth   what if?\n"
     weights = log.header.predictor.sha256 or "none"
     return (
-        f"An episode on {log.header.floor_plan.id}, recorded by {log.header.simulator}.\n"
-        f"Predictor {log.header.predictor.name}, weights {weights}.\n\n"
+        f"An episode on {printable(log.header.floor_plan.id)}, "
+        f"recorded by {printable(log.header.simulator)}.\n"
+        f"Predictor {printable(log.header.predictor.name)}, weights {weights}.\n\n"
         f"    mapreplay diagnose {LOG_NAME}   why was it sealed in?\n"
         f"    mapreplay view {LOG_NAME}       look\n"
         f"    mapreplay verify {LOG_NAME}     prove that the log is true\n"

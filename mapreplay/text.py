@@ -9,6 +9,7 @@ Each medium has one place more where its own rules are kept: `mapreplay.cli.outp
 
 from __future__ import annotations
 
+import re
 import shlex
 import unicodedata
 from collections.abc import Iterable
@@ -20,6 +21,7 @@ _HIDDEN: Final = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
 """
 _BLANK: Final = frozenset("\u034f\u115f\u1160\u17b4\u17b5\u3164\uffa0")
 """Letters and marks that are drawn as nothing."""
+_MARKDOWN: Final = re.compile(r"[\\`*_{}\[\]()<>#+|~&!$]")
 _SHORT: Final = {"\n": r"\n", "\r": r"\r", "\t": r"\t"}
 
 
@@ -39,6 +41,20 @@ def printable(text: str) -> str:
 def one_line(text: object) -> str:
     """A library's message, which may have several lines: `printable`, each white space a blank."""
     return printable(" ".join(str(text).split()))
+
+
+def shortened(text: str, room: int) -> str:
+    """`text`, `printable`, in at most `room` characters: a longer one loses its middle."""
+    text = printable(text)
+    if len(text) <= room:
+        return text
+    end = (room - 1) // 2
+    return f"{text[: room - 1 - end]}…{text[len(text) - end :]}"
+
+
+def markdown(text: str) -> str:
+    """`text`, `printable`, to be put into Markdown, so that it is shown as it is."""
+    return _MARKDOWN.sub(r"\\\g<0>", printable(text))
 
 
 def shell_command(words: Iterable[str | PurePath]) -> str:

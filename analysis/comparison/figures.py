@@ -13,12 +13,15 @@ from matplotlib.ticker import PercentFormatter
 
 from mapreplay.analysis.comparison.compare import TIME, Comparison, GroupResult
 from mapreplay.analysis.episodes.curves import extended
-from mapreplay.analysis.reporting.figures import LINES, MARKERS, Theme, colour
+from mapreplay.analysis.reporting.figures import LINES, MARKERS, Theme, colour, label
 from mapreplay.analysis.stats.estimates import NEVER
+from mapreplay.text import shortened
 
 MOST_ROWS: Final = 40
 """Floor plans that are shown by name; more become a scatter plot."""
 _POINTS: Final = 200
+_NAME: Final = 24
+"""Characters of a floor plan's name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +47,8 @@ class CoverageFigure:
             low, middle, high = np.nanpercentile(curves, (25, 50, 75), axis=0)
             shade = colour(number, theme)
             axes.fill_between(steps, low, high, color=shade, alpha=0.18, linewidth=0)
-            axes.plot(steps, middle, LINES[number % len(LINES)], color=shade, label=group.name,
-                      linewidth=1.6)  # fmt: skip
+            axes.plot(steps, middle, LINES[number % len(LINES)], color=shade,
+                      label=label(group.name), linewidth=1.6)  # fmt: skip
         axes.axhline(self.comparison.target, color=theme.ink, linewidth=0.7, linestyle=":")
         axes.set_title(f"{'Correct coverage' if self.correct else 'Coverage'}: median, quartiles")
         axes.set_xlabel("steps")
@@ -85,8 +88,9 @@ class IncidenceFigure:
                     at, [s.low for s in shares], [s.high for s in shares], step="post",
                     color=shade, alpha=0.15, linewidth=0,
                 )  # fmt: skip
-            axes.step(at, [s.share for s in shares], where="post", color=shade, label=group.name,
-                      linestyle=LINES[number % len(LINES)], linewidth=1.6)  # fmt: skip
+            axes.step(at, [s.share for s in shares], where="post", color=shade,
+                      label=label(group.name), linestyle=LINES[number % len(LINES)],
+                      linewidth=1.6)  # fmt: skip
         axes.set_title("Share of floor plans mapped by a step")
         axes.set_xlabel("steps")
         axes.yaxis.set_major_formatter(PercentFormatter(1.0))
@@ -122,10 +126,10 @@ class PairsFigure:
             failed = group.times[order] == NEVER
             shade, marker = colour(number, theme), MARKERS[number % len(MARKERS)]
             axes.plot(times[number][~failed], rows[~failed], marker, color=shade,
-                      markersize=5.5, label=group.name)  # fmt: skip
+                      markersize=5.5, label=label(group.name))  # fmt: skip
             axes.plot(times[number][failed], rows[failed], marker, markerfacecolor="none",
                       markeredgecolor=shade, markersize=5.5)  # fmt: skip
-        names = [shortened(self.comparison.floor_plans[i]) for i in order]
+        names = [shortened(self.comparison.floor_plans[i], _NAME) for i in order]
         axes.set_yticks(rows, names)
         axes.set_title("Mapping time in steps (hollow: not mapped)")
         axes.set_xlim(left=0)
@@ -141,10 +145,10 @@ class PairsFigure:
             failed = (group.times == NEVER) | (reference.times == NEVER)
             for chosen, face in ((~failed, shade), (failed, "none")):
                 axes.plot(reference.values[TIME][chosen], group.values[TIME][chosen], marker,
-                          markerfacecolor=face, markeredgecolor=shade, markersize=4,
-                          label=group.name if face != "none" else None, alpha=0.8)  # fmt: skip
+                          markerfacecolor=face, markeredgecolor=shade, markersize=4, alpha=0.8,
+                          label=label(group.name) if face != "none" else None)  # fmt: skip
         axes.set_title("Mapping times of floor plans (hollow: not mapped)")
-        axes.set_xlabel(f"{reference.name}, steps")
+        axes.set_xlabel(f"{label(reference.name)}, steps")
         axes.set_ylabel("steps")
         axes.legend(loc="upper left")
 
@@ -183,11 +187,3 @@ def horizon_of(comparison: Comparison) -> int:
         for episode in episodes
     )
     return max(1, min(longest, max(comparison.budgets)))
-
-
-def shortened(name: str, room: int = 24) -> str:
-    """A long id with its middle left out."""
-    if len(name) <= room:
-        return name
-    half = (room - 1) // 2
-    return f"{name[:half]}…{name[-half:]}"

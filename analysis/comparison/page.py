@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterator
 from typing import Final
 
@@ -32,6 +31,7 @@ from mapreplay.floorplans.preview import encode_png
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.pictures.layers import MapView
 from mapreplay.recorders.pictures.painter import MapPainter
+from mapreplay.text import shell_command
 
 EACH: Final = 2
 """Worst and best floor plans that are shown, of each group."""
@@ -208,7 +208,7 @@ def _card(
             page.Heading(comparison.floor_plans[i], 3),
             page.Paragraph(sentence),
             page.Columns(pictures),
-            page.Command(shlex.join(view_command(files[0], files[1], last))),
+            page.Command(shell_command(view_command(files[0], files[1], last))),
         ]
     )
 

@@ -13,7 +13,7 @@ from mapreplay.analysis.diagnosis import tables
 from mapreplay.analysis.diagnosis.corpus import corpus_claims, groups
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, Sealing
 from mapreplay.analysis.diagnosis.marks import sealing_marks
-from mapreplay.analysis.diagnosis.paragraph import paragraph
+from mapreplay.analysis.diagnosis.paragraph import paragraph, what_if
 from mapreplay.analysis.diagnosis.taxonomy import KINDS
 from mapreplay.analysis.reporting.page import (
     Block,
@@ -34,6 +34,7 @@ from mapreplay.recorders.pictures.layers import MapView
 from mapreplay.recorders.pictures.painter import MapPainter
 from mapreplay.recorders.pictures.palette import DARK, LIGHT, Theme
 from mapreplay.step import Cells, Step
+from mapreplay.text import shell_command
 
 SHOWN: Final = 3
 """Sealings of a log that get pictures."""
@@ -58,10 +59,9 @@ def diagnosis_page(diagnoses: Sequence[tuple[Path, Diagnosis]]) -> str:
     sealed = [(path, d) for path, d in diagnoses if d.sealings]
     for path, diagnosis in sealed[:MOST]:
         blocks.append(Heading(diagnosis.header.floor_plan.id))
-        said, _, command = paragraph(diagnosis, str(path), claims).partition(" What if: ")
-        blocks.append(Paragraph(said))
-        if command:
-            blocks.append(Command(command))
+        blocks.append(Paragraph(paragraph(diagnosis, claims)))
+        if command := what_if(diagnosis, path):
+            blocks.append(Command(shell_command(command)))
         blocks += _pictures(path, diagnosis)
     if len(sealed) > MOST:
         left = len(sealed) - MOST
@@ -69,7 +69,7 @@ def diagnosis_page(diagnoses: Sequence[tuple[Path, Diagnosis]]) -> str:
     others = [(path, d) for path, d in diagnoses if not d.sealings]
     if others and len(diagnoses) <= MOST:
         blocks.append(Heading("Never sealed in"))
-        blocks.append(Items([[paragraph(d, str(path), claims)] for path, d in others]))
+        blocks.append(Items([[paragraph(d, claims)] for _, d in others]))
     blocks.append(Heading("What the names mean"))
     blocks.append(Facts([(kind.name.replace("_", " "), kind.rule) for kind in KINDS]))
     lead = (

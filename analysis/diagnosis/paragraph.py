@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from pathlib import PurePath
 from typing import Final
 
 from mapreplay.analysis.diagnosis.claims import Claims
@@ -30,12 +31,11 @@ _HARMS: Final = {
 }
 
 
-def paragraph(diagnosis: Diagnosis, name: str, claims: Claims | None = None) -> str:
+def paragraph(diagnosis: Diagnosis, claims: Claims | None = None) -> str:
     """The diagnosis of one log in words.
 
     Args:
         diagnosis: Of the log.
-        name: What to call it, also in the command that is proposed.
         claims: Of the corpus that it is part of; by default its own.
     """
     config = diagnosis.header.config
@@ -55,10 +55,20 @@ def paragraph(diagnosis: Diagnosis, name: str, claims: Claims | None = None) -> 
         sentences.append(f"{_outcome(diagnosis).capitalize()}.")
     sentences += _beside(diagnosis)
     sentences += [f"{note[:1].upper()}{note[1:]}." for note in diagnosis.notes]
-    if diagnosis.sealings and diagnosis.header.floor_plan.has_truth:
-        at = diagnosis.sealings[0].first_step
-        sentences.append(f"What if: mapreplay branch {name} --at {at} --with truth")
     return " ".join(sentences)
+
+
+def what_if(diagnosis: Diagnosis, log: PurePath) -> list[str | PurePath] | None:
+    """The command that shows how it would have gone on with the truth; None if there is none.
+
+    Args:
+        diagnosis: Of the log.
+        log: Its file.
+    """
+    if not (diagnosis.sealings and diagnosis.header.floor_plan.has_truth):
+        return None
+    at = diagnosis.sealings[0].first_step
+    return ["mapreplay", "branch", log, "--at", str(at), "--with", "truth"]
 
 
 def _outcome(diagnosis: Diagnosis) -> str:

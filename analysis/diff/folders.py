@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Final
 
 import polars as pl
@@ -106,6 +106,6 @@ def pairs_frame(diffs: Sequence[PairDiff]) -> pl.DataFrame:
     return frame.with_columns(pl.col(pl.Float64).fill_nan(None))
 
 
-def view_command(file_a: str | Path, file_b: str | Path, step: int | None) -> list[str]:
+def view_command(file_a: str | Path, file_b: str | Path, step: int | None) -> list[str | PurePath]:
     """The command that shows both episodes at a step."""
-    return ["mapreplay", "view", str(file_a), str(file_b), "--step", str(step or 0)]
+    return ["mapreplay", "view", Path(file_a), Path(file_b), "--step", str(step or 0)]

@@ -31,6 +31,7 @@ from mapreplay.analysis.metrics.calibration import (
     reliability,
     score_interval,
 )
+from mapreplay.analysis.reporting.figures import plain, quiet
 from mapreplay.analysis.stats.estimates import mean_interval
 from mapreplay.files import whole_path
 from mapreplay.recorders.pictures.layers import MapView
@@ -68,7 +69,8 @@ _CURVES: Final = {
 
 def save(figure: Figure, path: Path) -> Path:
     """Write a PNG: the same data give the same bytes."""
-    with whole_path(path, force=True) as draft:
+    plain(figure)
+    with quiet(), whole_path(path, force=True) as draft:
         figure.savefig(draft, format="png", dpi=150, metadata={"Software": None})
     return path
 

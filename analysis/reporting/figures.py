@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import astuple, dataclass
 from typing import Any, Final
 
 from matplotlib import rc_context
 from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from mapreplay.text import printable, shortened
 
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 """Of Okabe and Ito (2008): they can be told apart with any kind of colour vision."""
 MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X")
 LINES: Final = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1)), (0, (1, 1)))
 """So that a figure can be read without its colours."""
+_LONGEST: Final = 60
+"""Characters of a name."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +44,31 @@ def colour(number: int, theme: Theme) -> str:
     """The colour of the n-th group; black is white on a dark page."""
     chosen = COLOURS[number % len(COLOURS)]
     return theme.ink if chosen == "#000000" else chosen
+
+
+def label(name: str) -> str:
+    """A name from outside, for a legend, an axis or a title: `printable`, and not too long."""
+    text = shortened(name, _LONGEST)
+    # What begins with an underscore is left out of a legend.
+    return f" {text}" if text.startswith("_") else text
+
+
+def plain(figure: Figure) -> None:
+    """Let no text of a figure be TeX, whatever is in it, and no control character reach a file."""
+    for text in figure.findobj(Text):
+        if isinstance(text, Text):
+            text.set_parse_math(False)
+            text.set_text("\n".join(map(printable, text.get_text().split("\n"))))
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """What matplotlib warns of is how a figure looks: letters that its font does not have (in an
+    SVG the reader's font has them), too little room. It is no matter for the terminal.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        yield
 
 
 def render(draw: Draw, size: tuple[float, float], theme: Theme = LIGHT, form: str = "svg") -> bytes:
@@ -71,9 +103,10 @@ def render(draw: Draw, size: tuple[float, float], theme: Theme = LIGHT, form: st
         "ytick.color": theme.ink,
     }
     file = io.BytesIO()
-    with rc_context(style):
+    with rc_context(style), quiet():
         figure = Figure(figsize=size, layout="constrained")
         draw(figure, theme)
+        plain(figure)
         metadata = {"Date": None} if form == "svg" else {"Software": None}
         figure.savefig(file, format=form, dpi=150, metadata=metadata)
     return file.getvalue()

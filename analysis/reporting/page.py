@@ -15,6 +15,9 @@ from dataclasses import dataclass, field
 from html import escape
 from importlib import resources
 from typing import Final, Protocol, TypeAlias
+from urllib.parse import quote
+
+from mapreplay.text import printable
 
 
 class Block(Protocol):
@@ -33,7 +36,7 @@ class Code:
 
     def html(self) -> str:
         """See `Block`."""
-        return f"<code>{escape(self.text)}</code>"
+        return f"<code>{_text(self.text)}</code>"
 
 
 @dataclass(frozen=True)
@@ -45,15 +48,20 @@ class Link:
 
     def html(self) -> str:
         """See `Block`."""
-        return f'<a href="#{escape(self.anchor)}">{escape(self.text)}</a>'
+        return f'<a href="#{quote(printable(self.anchor))}">{_text(self.text)}</a>'
 
 
 Inline: TypeAlias = str | Code | Link
 """What a sentence is made of; a str is plain text."""
 
 
+def _text(text: str) -> str:
+    """Text of whatever origin, as HTML: the one place where it is escaped."""
+    return escape(printable(text))
+
+
 def _inline(parts: Sequence[Inline]) -> str:
-    return "".join(escape(part) if isinstance(part, str) else part.html() for part in parts)
+    return "".join(_text(part) if isinstance(part, str) else part.html() for part in parts)
 
 
 @dataclass(frozen=True)
@@ -66,8 +74,8 @@ class Heading:
 
     def html(self) -> str:
         """See `Block`."""
-        name = f' id="{escape(self.anchor)}"' if self.anchor else ""
-        return f"<h{self.level}{name}>{escape(self.text)}</h{self.level}>"
+        name = f' id="{_text(self.anchor)}"' if self.anchor else ""
+        return f"<h{self.level}{name}>{_text(self.text)}</h{self.level}>"
 
 
 @dataclass(frozen=True, init=False)
@@ -117,7 +125,7 @@ class Command:
 
     def html(self) -> str:
         """See `Block`."""
-        return f"<pre><code>{escape(self.text)}</code></pre>"
+        return f"<pre><code>{_text(self.text)}</code></pre>"
 
 
 @dataclass(frozen=True)
@@ -129,7 +137,7 @@ class Numbers:
     def html(self) -> str:
         """See `Block`."""
         cards = "".join(
-            f"<div><dd>{escape(value)}</dd><dt>{escape(name)}</dt></div>"
+            f"<div><dd>{_text(value)}</dd><dt>{_text(name)}</dt></div>"
             for value, name in self.numbers
         )
         return f'<dl class="numbers">{cards}</dl>'
@@ -144,7 +152,7 @@ class Facts:
     def html(self) -> str:
         """See `Block`."""
         lines = "".join(
-            f"<dt>{escape(name)}</dt><dd>{_inline([value])}</dd>" for name, value in self.facts
+            f"<dt>{_text(name)}</dt><dd>{_inline([value])}</dd>" for name, value in self.facts
         )
         return f'<dl class="facts">{lines}</dl>'
 
@@ -175,9 +183,9 @@ class Table:
             ValueError: a row does not have as many values as the head.
         """
         right = {i for i in range(len(self.head)) if self._is_number(i)} | set(self.right)
-        caption = f"<caption>{escape(self.caption)}</caption>" if self.caption else ""
+        caption = f"<caption>{_text(self.caption)}</caption>" if self.caption else ""
         head = "".join(
-            f'<th scope="col"{_aligned(i in right)}>{escape(name)}</th>'
+            f'<th scope="col"{_aligned(i in right)}>{_text(name)}</th>'
             for i, name in enumerate(self.head)
         )
         body = "".join(f"<tr>{self._row(row, right)}</tr>" for row in self.rows)
@@ -241,8 +249,8 @@ class Picture:
             else ""
         )
         kind = ' class="pixelated"' if self.pixelated else ""
-        image = f'<img{kind} alt="{escape(self.alt)}" src="{_data_uri(self.image)}">'
-        caption = f"<figcaption>{escape(self.caption)}</figcaption>" if self.caption else ""
+        image = f'<img{kind} alt="{_text(self.alt)}" src="{_data_uri(self.image)}">'
+        caption = f"<figcaption>{_text(self.caption)}</figcaption>" if self.caption else ""
         return f"<figure><picture>{source}{image}</picture>{caption}</figure>"
 
 
@@ -292,7 +300,7 @@ class Details:
     def html(self) -> str:
         """See `Block`."""
         inner = "".join(block.html() for block in self.blocks)
-        return f"<details><summary>{escape(self.summary)}</summary>{inner}</details>"
+        return f"<details><summary>{_text(self.summary)}</summary>{inner}</details>"
 
 
 POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
@@ -314,7 +322,7 @@ class Page:
         css = (
             resources.files("mapreplay.analysis.reporting").joinpath("page.css").read_text("utf-8")
         )
-        title = escape(self.title)
+        title = _text(self.title)
         body = "\n".join(block.html() for block in self.blocks)
         return (
             '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
@@ -322,6 +330,6 @@ class Page:
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
             '<meta name="color-scheme" content="light dark">\n'
             f"<title>{title}</title>\n<style>\n{css}</style>\n</head>\n<body>\n"
-            f'<header><h1>{title}</h1><p class="lead">{escape(self.lead)}</p></header>\n'
-            f"<main>\n{body}\n</main>\n<footer>{escape(self.footer)}</footer>\n</body>\n</html>\n"
+            f'<header><h1>{title}</h1><p class="lead">{_text(self.lead)}</p></header>\n'
+            f"<main>\n{body}\n</main>\n<footer>{_text(self.footer)}</footer>\n</body>\n</html>\n"
         )

@@ -37,7 +37,7 @@ from mapreplay.cli.verify import verify
 from mapreplay.cli.view import view
 from mapreplay.cli.whatif import whatif
 from mapreplay.errors import MapreplayError
-from mapreplay.text import one_line
+from mapreplay.text import one_line, printable
 
 FAILED: Final = 1
 INTERRUPTED: Final = 130
@@ -144,8 +144,8 @@ def _unexpected(error: BaseException) -> str:
         where = f"{error.filename}: " if error.filename else ""
         return f"{where}{error.strerror}"
     return (
-        f"internal error, {type(error).__name__}: {error}; please report it, with what is printed "
-        f"if {DEBUG}=1 is set"
+        f"internal error, {type(error).__name__}: {one_line(error)}; please report it, with what "
+        f"is printed if {DEBUG}=1 is set"
     )
 
 
@@ -158,5 +158,5 @@ def _is_folder_there() -> bool:
 
 
 def _fail(line: str, code: int) -> int:
-    print(f"mapreplay: {one_line(line)}", file=sys.stderr)
+    print(f"mapreplay: {printable(line)}", file=sys.stderr)
     return code

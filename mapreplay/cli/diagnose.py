@@ -22,9 +22,10 @@ from mapreplay.cli.output import (
 )
 from mapreplay.errors import LogError, MapreplayError, UsageError
 from mapreplay.files import write_whole
-from mapreplay.text import printable
+from mapreplay.text import printable, shell_command
 
 if TYPE_CHECKING:
+    from mapreplay.analysis.diagnosis.claims import Claims
     from mapreplay.analysis.diagnosis.diagnosis import Diagnosis
 
 FEW = 10
@@ -82,10 +83,7 @@ def diagnose(
     else:
         claims = corpus_claims(found)
         if len(diagnoses) <= FEW:
-            from mapreplay.analysis.diagnosis.paragraph import paragraph
-
-            texts = [paragraph(d, file, claims) for file, d in diagnoses.items()]
-            say("\n\n".join(_wrapped(text) for text in texts))
+            say("\n\n".join(_told(file, d, claims) for file, d in diagnoses.items()))
         if len(diagnoses) > 1:
             _print_tables(found)
         if len(diagnoses) > FEW:
@@ -168,11 +166,14 @@ def _emit_json(diagnoses: dict[str, Diagnosis], output: Path | None, *, force: b
         say(data.decode().removesuffix("\n"))
 
 
-def _wrapped(text: str) -> str:
+def _told(file: str, diagnosis: Diagnosis, claims: Claims) -> str:
     """For a terminal; a command at the end stands on a line of its own, to be copied."""
-    said, what_if, command = text.partition(" What if: ")
+    from mapreplay.analysis.diagnosis.paragraph import paragraph, what_if
+
+    said = printable(paragraph(diagnosis, claims))
     lines = textwrap.fill(said, WIDTH, break_long_words=False, break_on_hyphens=False)
-    return f"{lines}\n  What if: {command}" if what_if else lines
+    command = what_if(diagnosis, Path(file))
+    return f"{lines}\n  What if: {shell_command(command)}" if command else lines
 
 
 def _print_tables(found: list[Diagnosis]) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import math
-import shlex
 import shutil
 import sys
 import tempfile
@@ -13,14 +12,14 @@ import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import IO, TYPE_CHECKING, Annotated, Final, TypeAlias
 
 import typer
 
 from mapreplay.errors import UsageError, WriteError
 from mapreplay.files import check_new, whole_path, write_whole
-from mapreplay.text import one_line, printable
+from mapreplay.text import one_line, printable, shell_command, shortened
 
 if TYPE_CHECKING:
     import polars as pl
@@ -28,6 +27,8 @@ if TYPE_CHECKING:
 
 WIDTH: Final = 80
 """Columns that a line for people has at most."""
+_LONGEST: Final = 300
+"""Characters that a cell of a table has at most; names of files have up to 255."""
 LOST = 3
 """Exit code: done, but something was lost or could not be read."""
 
@@ -178,7 +179,7 @@ def _deliver_text(text: pl.DataFrame | Shown, output: Path | None, *, force: boo
 
 
 def note(line: str) -> None:
-    """Say something beside the result, on stderr."""
+    """Say something beside the result, on stderr, in one line."""
     print(printable(line), file=sys.stderr)
 
 
@@ -219,7 +220,7 @@ def _json_value(value: object) -> object:
 class Command:
     """A command line among what people see: it is never wrapped, so that it can be copied."""
 
-    words: Sequence[str]
+    words: Sequence[str | PurePath]
 
 
 Shown: TypeAlias = "Sequence[str | Command | pl.DataFrame]"
@@ -236,9 +237,11 @@ def _for_people(text: pl.DataFrame | Shown, *, wide: bool) -> str:
             blocks.append(_text_table(part, wide=wide))
             continue
         line = (
-            shlex.join(part.words)
+            shell_command(part.words)
             if isinstance(part, Command)
-            else textwrap.fill(part, WIDTH, subsequent_indent="  ", break_on_hyphens=False)
+            else textwrap.fill(
+                printable(part), WIDTH, subsequent_indent="  ", break_on_hyphens=False
+            )
         )
         blocks.append(line)
     return "\n".join(blocks)
@@ -249,33 +252,38 @@ def _text_table(frame: pl.DataFrame, *, wide: bool) -> str:
     from rich import box
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     same = [
         name
         for name, dtype in frame.schema.items()
         if len(frame) > 1 and not dtype.is_numeric() and frame[name].n_unique() == 1
     ]
-    title = ", ".join(f"{name.replace('_', ' ')} {_text_value(frame[name][0])}" for name in same)
+    title = ", ".join(f"{_head(name)} {_text_value(frame[name][0])}" for name in same)
     frame = frame.drop(same)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=0, header_style="bold")
     for name, dtype in frame.schema.items():
         table.add_column(
-            name.replace("_", " "),
+            Text(_head(name)),
             justify="right" if dtype.is_numeric() else "left",
             overflow="fold",
         )
     for row in frame.iter_rows():
-        table.add_row(*map(_text_value, row))
+        table.add_row(*(Text(_text_value(value)) for value in row))
     buffer = io.StringIO()
     terminal = sys.stdout.isatty() and not wide
     # A terminal that is narrower breaks the lines: better than letters below each other.
     width = max(shutil.get_terminal_size().columns, WIDTH) if terminal else 200
     console = Console(file=buffer, force_terminal=terminal, width=width, highlight=False)
     if title:
-        console.print(title)
+        console.print(Text(title))
     console.print(table)
     lines = [line.rstrip() for line in buffer.getvalue().splitlines()]
     return "\n".join(line for line in lines if line)
+
+
+def _head(column: str) -> str:
+    return _shown(column.replace("_", " "))
 
 
 def _text_value(value: object) -> str:
@@ -285,4 +293,9 @@ def _text_value(value: object) -> str:
         return "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:.3f}" if abs(value) < 100 else f"{value:.1f}"
-    return str(value)
+    return _shown(str(value))
+
+
+def _shown(text: str) -> str:
+    """Text of a table."""
+    return shortened(text, _LONGEST)

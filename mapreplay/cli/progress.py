@@ -7,16 +7,26 @@ import time
 from typing import Final
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, Task, TextColumn, TimeRemainingColumn
+from rich.text import Text
+
+from mapreplay.text import printable
+
+
+class _PlainColumn(TextColumn):
+    """Names and errors as they are: nothing in them is markup."""
+
+    def render(self, task: Task) -> Text:
+        return Text(printable(self.text_format.format(task=task)), style="none")
 
 
 def progress_bar(*columns: str) -> Progress:
     """A bar whose tasks have a description and the named text fields."""
     return Progress(
-        TextColumn("{task.description}"),
+        _PlainColumn("{task.description}"),
         BarColumn(bar_width=24),
-        TextColumn("{task.percentage:>3.0f}%"),
-        *(TextColumn("{task.fields[" + name + "]}") for name in columns),
+        _PlainColumn("{task.percentage:>3.0f}%"),
+        *(_PlainColumn("{task.fields[" + name + "]}") for name in columns),
         TimeRemainingColumn(),
         console=(console := Console(stderr=True)),
         transient=True,

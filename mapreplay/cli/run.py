@@ -13,6 +13,7 @@ from mapreplay.cli.output import LOST, ForceOption, Format, FormatOption, emit, 
 from mapreplay.errors import FloorPlanError, UsageError
 from mapreplay.files import make_folder
 from mapreplay.plugins import Group, find
+from mapreplay.text import shell_command
 
 if TYPE_CHECKING:
     from mapreplay.config import RunConfig
@@ -155,7 +156,7 @@ def run(
         _print_results(logs, form)
         note(f"logs: {folder}")
         if sys.stdout.isatty():
-            note(f"next: mapreplay view {logs[0]}")
+            note(f"next: {shell_command(['mapreplay', 'view', logs[0]])}")
     failed = len(tasks) - len(done)
     if failed:
         note(f"{failed} of {len(tasks)} episodes failed; {_go_on(folder)}")
@@ -240,7 +241,7 @@ def _skip_finished(tasks: list[Task], predictor: Predictor) -> tuple[list[Path],
 
 
 def _go_on(folder: Path) -> str:
-    return f"to go on, repeat the command with --resume --out {folder}"
+    return f"to go on, repeat the command with {shell_command(['--resume', '--out', folder])}"
 
 
 def _record(tasks: list[Task], jobs: int) -> list[Path]:

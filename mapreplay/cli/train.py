@@ -15,6 +15,7 @@ import typer
 from mapreplay.cli.output import ForceOption, note
 from mapreplay.errors import UsageError
 from mapreplay.files import check_new
+from mapreplay.text import shell_command
 
 if TYPE_CHECKING:
     from mapreplay.training.loop import Trainer
@@ -184,7 +185,7 @@ def train(
         note(f"stopped; {again}" if there else "stopped before the first checkpoint")
         raise
     note(f"weights: {out} (sha256 {card.sha256[:12]}), card: {out.with_suffix('.json')}")
-    note(f"next: mapreplay run --predictor {out}")
+    note(f"next: {shell_command(['mapreplay', 'run', '--predictor', out])}")
 
 
 def _train(trainer: Trainer) -> None:

@@ -12,6 +12,7 @@ import typer
 from mapreplay.cli.logs import end_with, open_log
 from mapreplay.cli.output import LOST, ForceOption, note
 from mapreplay.errors import LogError, UsageError
+from mapreplay.text import shell_command
 
 if TYPE_CHECKING:
     from mapreplay.recorders.log.reader import EpisodeLog
@@ -195,7 +196,7 @@ def _show(
 
     if save is not None:
         save_rrd(save, replays, force=force)
-        note(f"written: {save}; open it with `rerun {save}`")
+        note(f"written: {save}; open it with: {shell_command(['rerun', save])}")
     elif web:
         with serve_web(replays) as served:
             typer.echo(served.address)

@@ -18,6 +18,7 @@ from PIL import ImageFont
 
 from mapreplay.recorders.pictures.painter import Picture
 from mapreplay.recorders.pictures.palette import Colour
+from mapreplay.text import printable
 
 _FONTS: Final = Path(mpl.get_data_path()) / "fonts" / "ttf"
 _SHIFT: Final = 4
@@ -46,7 +47,7 @@ class Sheet:
 
     def width_of(self, text: str, size: float, *, bold: bool = False) -> float:
         """How wide a line is, in points."""
-        return float(font(self.px(size), bold=bold).getlength(text)) / self.unit
+        return float(font(self.px(size), bold=bold).getlength(printable(text))) / self.unit
 
     def text(
         self,
@@ -63,7 +64,7 @@ class Sheet:
         if not text:
             return
         face = font(self.px(size), bold=bold)
-        bitmap, offset = face.getmask2(text, mode="L", anchor=f"{align}m")
+        bitmap, offset = face.getmask2(printable(text), mode="L", anchor=f"{align}m")
         width, height = bitmap.size
         cover = np.frombuffer(bytes(bitmap), np.uint8).reshape(height, width)
         left, top = self.px(x) + int(offset[0]), self.px(y) + int(offset[1])
@@ -123,6 +124,8 @@ class Sheet:
 
     def shortened(self, text: str, size: float, width: float) -> str:
         """The text, its end cut off where it does not fit into `width` points."""
+        # No letter is narrower than a point: of a longer text the rest is not even measured.
+        text = printable(text)[: max(0, int(width)) + 1]
         if self.width_of(text, size) <= width:
             return text
         while text and self.width_of(f"{text}…", size) > width:

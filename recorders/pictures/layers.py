@@ -24,6 +24,7 @@ from mapreplay.step import (
     Outcome,
     Step,
 )
+from mapreplay.text import printable
 
 
 class MapView(StrEnum):
@@ -154,7 +155,7 @@ _ENDINGS: Final = {
 
 def event_words(event: Event) -> str:
     """An event as a line: ``sealed in: the fused map has no frontier within reach``."""
-    return f"{event.kind}: {event.text}".replace("_", " ")
+    return printable(f"{event.kind}: {event.text}".replace("_", " "))
 
 
 def decision_words(step: Step) -> str:

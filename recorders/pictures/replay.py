@@ -15,6 +15,7 @@ from mapreplay.recorders.pictures.layers import first_parting
 from mapreplay.recorders.pictures.palette import Curve
 from mapreplay.recorders.state import by_step
 from mapreplay.step import EpisodeHeader, Step
+from mapreplay.text import shortened
 
 if TYPE_CHECKING:
     from mapreplay.recorders.log.reader import EpisodeLog
@@ -125,6 +126,11 @@ def names_of(headers: Sequence[EpisodeHeader]) -> list[str]:
     ]
     telling = [len(set(column)) > 1 for column in zip(*parts, strict=True)]
     return [
-        " ".join([letter, *(p for p, tells in zip(part, telling, strict=True) if tells and p)])
+        " ".join(
+            [
+                letter,
+                *(shortened(p, 60) for p, tells in zip(part, telling, strict=True) if tells and p),
+            ]
+        )
         for letter, part in zip(LETTERS, parts, strict=False)
     ]

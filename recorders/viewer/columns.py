@@ -30,6 +30,7 @@ from mapreplay.recorders.pictures.replay import Replay
 from mapreplay.recorders.viewer import static as rerun_static
 from mapreplay.recorders.viewer.layout import TIMELINE, Entity, curve_path
 from mapreplay.step import Candidate, EpisodeHeader, EventKind, Step, StepProfile
+from mapreplay.text import markdown
 
 BLOCK_STEPS: Final = 100
 BLOCK_BYTES: Final = 16 << 20
@@ -305,7 +306,7 @@ def centres(cells: npt.NDArray[np.integer], height: int) -> Points:
 
 def decision_document(step: Step) -> str:
     """What the agent decided at a step, in Markdown: a sentence, and the best candidates."""
-    lines = [f"**Step {step.index}: {state_of(step)}**", "", decision_words(step)]
+    lines = [f"**Step {step.index}: {state_of(step)}**", "", markdown(decision_words(step))]
     decision = step.decision
     if decision is not None and decision.rivals:
         lines += ["", "| (row, col) | utility | gain | cells away |", "|---|---|---|---|"]

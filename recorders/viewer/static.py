@@ -42,6 +42,7 @@ from mapreplay.recorders.viewer.layout import (
     curve_path,
 )
 from mapreplay.step import EpisodeHeader
+from mapreplay.text import markdown
 
 _LEGEND_WIDTH: Final = 1240.0
 """Points: the narrowest window that the layout is made for, less its margins."""
@@ -174,5 +175,5 @@ def describe(header: EpisodeHeader) -> str:
         "simulator": header.simulator,
         **dict(header.versions),
     }
-    heading, *rest = (f"| {key} | {value} |" for key, value in rows.items())
+    heading, *rest = (f"| {markdown(key)} | {markdown(value)} |" for key, value in rows.items())
     return "\n".join([heading, "|---|---|", *rest, ""])

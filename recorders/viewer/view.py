@@ -25,6 +25,7 @@ from mapreplay.recorders.viewer.columns import EpisodeColumns, send_episode, sen
 from mapreplay.recorders.viewer.layout import TIMELINE, Pane, application_id, layout
 from mapreplay.recorders.viewer.static import send_legend, send_parting
 from mapreplay.step import EpisodeHeader, Step
+from mapreplay.text import printable
 from mapreplay.workers import Program
 
 if TYPE_CHECKING:
@@ -313,7 +314,9 @@ def new_recording(replays: Sequence[Replay], panes: Sequence[Pane]) -> rr.Record
     """A recording that is named after the episodes, and goes nowhere yet."""
     recording = rr.RecordingStream(application_id(panes))
     names = [replay.header.file_name.removesuffix(".mcap") for replay in replays]
-    recording.send_recording_name(names[0] if len(names) == 1 else f"{len(names)} episodes")
+    recording.send_recording_name(
+        printable(names[0]) if len(names) == 1 else f"{len(names)} episodes"
+    )
     return recording
 
 

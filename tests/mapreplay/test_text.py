@@ -11,7 +11,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from mapreplay.text import one_line, printable, shell_command
+from mapreplay.text import markdown, one_line, printable, shell_command, shortened
 
 ANY_TEXT = st.text(st.characters(codec=None))
 
@@ -71,3 +71,29 @@ def test_a_shell_reads_the_words_that_were_meant() -> None:
     line = "printf '%s\\0' " + shell_command(words)
     done = subprocess.run(["/bin/bash", "-c", line], capture_output=True, check=True)
     assert done.stdout.split(b"\0")[:-1] == [os.fsencode(word) for word in words]
+
+
+@pytest.mark.parametrize(
+    ("text", "source"),
+    [
+        ("nearest", "nearest"),
+        ("a|b", r"a\|b"),
+        ("![x](http://y)", r"\!\[x\]\(http://y\)"),
+        ("<b>_a_**", r"\<b\>\_a\_\*\*"),
+        ("a\n# b", r"a\\n\# b"),
+    ],
+)
+def test_text_in_markdown_is_shown_as_it_is(text: str, source: str) -> None:
+    assert markdown(text) == source
+
+
+@given(ANY_TEXT, st.integers(3, 30))
+def test_a_long_text_loses_its_middle(text: str, room: int) -> None:
+    shown, whole = shortened(text, room), printable(text)
+    assert len(shown) <= room
+    if len(whole) <= room:
+        assert shown == whole
+    else:
+        begin, _, end = shown.partition("…")
+        assert whole.startswith(begin)
+        assert whole.endswith(end)

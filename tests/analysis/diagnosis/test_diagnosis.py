@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ from mapreplay.analysis.diagnosis.frame import sealing_frame
 from mapreplay.analysis.diagnosis.harms import HarmDetector, HarmKind
 from mapreplay.analysis.diagnosis.marks import marks_of
 from mapreplay.analysis.diagnosis.page import diagnosis_page
-from mapreplay.analysis.diagnosis.paragraph import paragraph
+from mapreplay.analysis.diagnosis.paragraph import paragraph, what_if
 from mapreplay.analysis.diagnosis.places import passage
 from mapreplay.analysis.diagnosis.reach import Scratch, reached
 from mapreplay.analysis.diagnosis.record import diagnosis_path, record_of, save_beside
@@ -126,7 +126,7 @@ def test_never_sealed_in_is_one_line(tmp_path: Path) -> None:
     log = recorded(tmp_path / "a.mcap", episode(always(TWO_ROOMS.replace(".", "?"))))
     found = diagnose(log)
     assert found.sealings == ()
-    assert "was never sealed in: the episode ended mapped" in paragraph(found, "a.mcap")
+    assert "was never sealed in: the episode ended mapped" in paragraph(found)
 
 
 def test_observed_maps_cannot_seal(tmp_path: Path) -> None:
@@ -137,7 +137,7 @@ def test_observed_maps_cannot_seal(tmp_path: Path) -> None:
 
 
 def test_the_paragraph_says_it(diagnosis: Diagnosis) -> None:
-    text = paragraph(diagnosis, "a.mcap")
+    text = paragraph(diagnosis)
     for part in (
         "was sealed in at step 0",
         "for good",
@@ -146,9 +146,11 @@ def test_the_paragraph_says_it(diagnosis: Diagnosis) -> None:
         "taken for a wall since step 0",
         "it was never seen",
         "4 moves to (4, 5) would have shown 1 false wall, and let it out",
-        "mapreplay branch a.mcap --at 0 --with truth",
     ):
         assert part in text
+    assert what_if(diagnosis, PurePosixPath("a.mcap")) == [
+        "mapreplay", "branch", PurePosixPath("a.mcap"), "--at", "0", "--with", "truth",
+    ]  # fmt: skip
 
 
 def test_a_detour_to_a_frontier_that_did_not_exist(tmp_path: Path) -> None:
@@ -327,7 +329,7 @@ def test_a_log_without_a_true_map(tmp_path: Path) -> None:
     assert sealing.culprits is None
     assert sealing.remedy.delta_occupied_above is not None
     assert any("no true map" in note for note in found.notes)
-    assert "sealed in at step 0" in paragraph(found, "lab.mcap")
+    assert "sealed in at step 0" in paragraph(found)
 
 
 def test_a_log_without_predictions(tmp_path: Path) -> None:
