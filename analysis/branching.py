@@ -26,6 +26,7 @@ from mapreplay.episode import Episode, prepare_episode, run_episode
 from mapreplay.errors import UsageError
 from mapreplay.grid import FREE, OCCUPIED, Grid
 from mapreplay.mapping import Thresholds
+from mapreplay.planners import planner_of
 from mapreplay.predictors import Predictor, choice_of, load_predictor
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.stages import Past
@@ -142,7 +143,9 @@ def run_again(header: EpisodeHeader, predictors: Sequence[Predictor]) -> Iterato
             if step.decision is None:
                 return
             past = past.after(step, step.decision.next_cell, before.at(step.index))
-    episode = prepare_episode(header.config, header.floor_plan, predictor=predictors[-1])
+    episode = prepare_episode(
+        header.config, header.floor_plan, planner_of(header), predictor=predictors[-1]
+    )
     yield from run_episode(episode, past)
 
 

@@ -24,7 +24,7 @@ from mapreplay.analysis.diff.steps import Difference, compare
 from mapreplay.episode import budget, versions
 from mapreplay.errors import LogError, PluginError, UsageError
 from mapreplay.grid import FREE, Cell, Grid, Quantized, check_grid
-from mapreplay.planners import Planner, load_planner
+from mapreplay.planners import Planner, planner_of
 from mapreplay.recorders.log import step_table as table
 from mapreplay.recorders.log.header import EPISODE_RECORD, NO_STEPS, OUTCOME_RECORD
 from mapreplay.recorders.log.messages import Messages, Topic, stamp_ns_of
@@ -117,7 +117,7 @@ def verify(log: EpisodeLog, shown: int = SHOWN) -> Verification:
         findings.add(_check_stamps(logged, messages))
         # No planner has to cope with what is no probability.
         wrong = findings.add(_check_prediction(header, logged))
-        asked = None if wrong else planners.get(header.config.planner)
+        asked = None if wrong else planners.get(header)
         expected = _make_again(header, asked, past, hits, observed, logged)
         findings.add(compare(logged, expected))
         findings.add(ending.compare(logged))
@@ -235,8 +235,7 @@ def verify_step(
         log.check_step(logged.index - 1)
     before = log[logged.index - 1].decision if logged.index > 0 else None
     findings = _Findings(log, shown)
-    predictor = predictor_of(header, device, weights)
-    planner = load_planner(header.config.planner)
+    predictor, planner = predictor_of(header, device, weights), planner_of(header)
     if findings.add(_check_predictor(header.predictor, predictor.identity)):
         return findings.result()
     problem = check_grid(logged.observed)
@@ -341,20 +340,24 @@ class _Ending:
 
 
 class _Planners:
-    """The planners of a log by name; of each that cannot be had there is one note."""
+    """The planners of a log and of the logs that it branched from; of each that cannot be had
+    there is one note.
+    """
 
     def __init__(self, findings: _Findings) -> None:
         self._findings = findings
-        self._loaded: dict[str, Planner | None] = {}
+        self._loaded: dict[object, Planner | None] = {}
 
-    def get(self, name: str) -> Planner | None:
-        if name not in self._loaded:
-            self._loaded[name] = self._load(name)
-        return self._loaded[name]
+    def get(self, header: EpisodeHeader) -> Planner | None:
+        key = header.config.planner, header.versions
+        if key not in self._loaded:
+            self._loaded[key] = self._load(header)
+        return self._loaded[key]
 
-    def _load(self, name: str) -> Planner | None:
+    def _load(self, header: EpisodeHeader) -> Planner | None:
+        name = header.config.planner
         try:
-            return load_planner(name)
+            return planner_of(header)
         except PluginError as error:
             known = name in plugins.available(plugins.Group.PLANNERS)
             reason = str(error) if known else f"planner {name!r} is not installed"

@@ -20,7 +20,7 @@ from mapreplay import mapping
 from mapreplay.config import EpisodeConfig
 from mapreplay.floorplan import FloorPlan, explorable
 from mapreplay.grid import FREE, Mask
-from mapreplay.planners import Planner, load_planner
+from mapreplay.planners import RULES, Planner, load_planner
 from mapreplay.predictors import Predictor, choice_of, registered_predictor
 from mapreplay.sensor import accumulate, sense
 from mapreplay.stages import Knowledge, Past, decide, make_step, measure, predict
@@ -75,8 +75,9 @@ def budget(config: EpisodeConfig, floor_plan: FloorPlan, region: Mask) -> int:
 
 @lru_cache(maxsize=1)
 def versions() -> tuple[tuple[str, str], ...]:
-    """(library, version) of what a result depends on, sorted."""
-    return tuple((name, version(name)) for name in ("mapreplay", "numba", "numpy", "torch"))
+    """(library, version) of what a result depends on, and the planners' rules, sorted."""
+    libraries = ((name, version(name)) for name in ("mapreplay", "numba", "numpy", "torch"))
+    return tuple(sorted([*libraries, ("rules", RULES)]))
 
 
 def run_episode(episode: Episode, past: Past | None = None) -> Iterator[Step]:

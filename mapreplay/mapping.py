@@ -29,6 +29,8 @@ class PredictionDtype(StrEnum):
 
 _TOP: Final = {np.dtype(np.uint8): 2**8 - 1, np.dtype(np.uint16): 2**16 - 1}
 """What stands for certainty, of the integer types."""
+_FINE: Final = 2**32
+"""Steps of the doubt of a float32."""
 
 
 def quantize(p_wall: npt.NDArray[np.floating], dtype: PredictionDtype) -> Quantized:
@@ -50,6 +52,19 @@ def quantize(p_wall: npt.NDArray[np.floating], dtype: PredictionDtype) -> Quanti
 def dequantize(quantized: Quantized) -> npt.NDArray[np.float64]:
     """P(occupied) as float64[H, W] in [0, 1]."""
     return quantized.astype(np.float64) / certainty(quantized)
+
+
+def doubt(quantized: Quantized) -> tuple[npt.NDArray[np.float64], int]:
+    """1 - |2 p - 1| as whole numbers, so that sums of it are exact whatever their order.
+
+    Returns:
+        float64[H, W] of whole numbers, and what stands for 1 among them. Of float32 they are
+        rounded to 2^-32; sums are exact up to 2^21 cells.
+    """
+    top = _TOP.get(quantized.dtype)
+    if top is None:
+        return np.rint((1 - np.abs(2 * dequantize(quantized) - 1)) * _FINE), _FINE
+    return top - np.abs(2 * quantized.astype(np.float64) - top), top
 
 
 def quantum(quantized: Quantized) -> float:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from mapreplay import kernels
 from mapreplay.grid import UNKNOWN, Cell, Grid, Quantized
-from mapreplay.mapping import dequantize
+from mapreplay.mapping import doubt
 from mapreplay.randomness import Draws
 from mapreplay.sensor import Sensor
 from mapreplay.step import Cells
@@ -116,20 +116,32 @@ class Situation:
         c is 1 where a cell was observed, else |2 p - 1| when planning on the fused map and
         0 when planning on observations.
         """
+        levels, top = self._doubt
+        return levels / top
+
+    @cached_property
+    def _doubt(self) -> tuple[Float64s, int]:
+        """`uncertainty` in whole numbers, and what stands for 1; see `mapping.doubt`."""
         unseen = self.observed == UNKNOWN
         if self.prediction is None:
-            return np.asarray(unseen, np.float64)
-        confidence = np.abs(2 * dequantize(self.prediction) - 1)
-        uncertainty: Float64s = np.where(unseen, 1 - confidence, 0.0)
-        return uncertainty
+            return np.asarray(unseen, np.float64), 1
+        levels, top = doubt(self.prediction)
+        return np.where(unseen, levels, 0.0), top
 
     def gains(self) -> Float64s:
         """float64[n]: the sum of `uncertainty` over the cells that the sensor would mark from
         each frontier cell on `plan_map`, where unknown cells are transparent.
+
+        Equal sums are equal, in whatever order the rays meet the cells.
         """
-        gains = np.empty(len(self.frontier), np.float64)
+        levels, top = self._doubt
+        return self.sums_in_view(levels) / top
+
+    def sums_in_view(self, values: Float64s) -> Float64s:
+        """float64[n]: the sum of `values` (float64[H, W]) over what `gains` sums over, in the
+        order of the rays.
+        """
+        sums = np.empty(len(self.frontier), np.float64)
         seen = np.zeros(self.plan_map.shape, np.int64)
-        kernels.view_gains(
-            self.plan_map, self.uncertainty, self.frontier, self.sensor.offsets, seen, gains
-        )
-        return gains
+        kernels.view_gains(self.plan_map, values, self.frontier, self.sensor.offsets, seen, sums)
+        return sums

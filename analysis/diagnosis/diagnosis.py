@@ -35,7 +35,7 @@ from mapreplay.analysis.diagnosis.remedy import (
 from mapreplay.config import MapKind
 from mapreplay.errors import PluginError
 from mapreplay.grid import Cell
-from mapreplay.planners import Planner, load_planner
+from mapreplay.planners import Planner, planner_of
 from mapreplay.recorders.log.reader import EpisodeLog, MapName
 from mapreplay.step import OURS, EpisodeHeader, Outcome, Step
 
@@ -191,7 +191,7 @@ def _planner(log: EpisodeLog, notes: list[str]) -> Planner | None:
     if log.header.simulator != OURS:
         return None
     try:
-        return load_planner(log.header.config.planner)
+        return planner_of(log.header)
     except PluginError as error:
         notes.append(f"the cost of the fail-safe is not known: {error}")
         return None

@@ -15,7 +15,7 @@ from mapreplay.analysis.reporting.wording import counted
 from mapreplay.errors import MapreplayError
 from mapreplay.grid import UNKNOWN, Cell
 from mapreplay.mapping import dequantize
-from mapreplay.planners import load_planner
+from mapreplay.planners import planner_of
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.stages import Past, Travelled, ask, look_around
 from mapreplay.step import Candidate, Decision, Step
@@ -205,7 +205,7 @@ def rating(log: EpisodeLog, step: Step, before: Decision | None, cell: Cell) -> 
         corrected=False,
     )
     try:
-        planner = load_planner(header.config.planner)
+        planner = planner_of(header)
         choice = ask(header, planner, past, step.observed, step.p_wall, view)
     except MapreplayError:
         return None

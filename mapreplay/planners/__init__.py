@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, cast
+from typing import Final, Protocol, cast
 
 import numpy as np
 
 from mapreplay import plugins
 from mapreplay.planning import Float64s, Situation
+from mapreplay.step import EpisodeHeader
+
+RULES: Final = "2"
+"""Which rules our planners decide by; a log has them among its versions, as ``rules``. Raise it
+when a decision changes, and let `planner_of` find the rules of the logs that there are.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +50,20 @@ def load_planner(name: str) -> Planner:
         PluginError: there is none, or it is broken.
     """
     return cast("Planner", plugins.load(plugins.Group.PLANNERS, name)())
+
+
+def planner_of(header: EpisodeHeader) -> Planner:
+    """The planner of a log, as it decided in the version that wrote the log.
+
+    Raises:
+        PluginError: there is none of that name, or it is broken.
+    """
+    if dict(header.versions).get("rules", "1") == "1":
+        from mapreplay.planners import rules_1
+
+        if header.config.planner in rules_1.PLANNERS:
+            return rules_1.PLANNERS[header.config.planner]
+    return load_planner(header.config.planner)
 
 
 def best(utility: Float64s, costs: Float64s) -> int:

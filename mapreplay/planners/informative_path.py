@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -10,6 +11,9 @@ from mapreplay.grid import FREE, UNKNOWN
 from mapreplay.mapping import dequantize
 from mapreplay.planners import Choice, best, kernels
 from mapreplay.planning import Float64s, Situation
+
+_GRAIN: Final = 2**20
+"""Parts of a cell that gains are counted in."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,7 @@ class InformativePath:
         frontier, offsets = situation.frontier, situation.sensor.offsets
         gains = np.empty(len(frontier), np.float64)
         kernels.view_gains(transparency, worth, frontier, offsets, gains)
+        gains = self.settled(gains)
         utility = gains / (1 + situation.costs)
         first = np.argsort(-utility, kind="stable")[: self.ways]
         if len(first):
@@ -42,10 +47,18 @@ class InformativePath:
             kernels.way_gains(
                 transparency, worth, paths.straight, paths.diagonal, frontier[first], offsets, along
             )
+            along = self.settled(along)
             gains[first] = along
             # A way shows at least what its end does, so that none of the others is overrated.
             utility[first] = along / (1 + situation.costs[first])
         return Choice(best(utility, situation.costs), utility, gains)
+
+    @staticmethod
+    def settled(gains: Float64s) -> Float64s:
+        """Gains to a millionth of a cell (2^-20), so that those of ways that show the same are
+        equal, in whatever order the rays meet the cells.
+        """
+        return np.rint(gains * _GRAIN) / _GRAIN
 
 
 def expectations(situation: Situation) -> tuple[Float64s, Float64s]:

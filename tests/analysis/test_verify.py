@@ -23,7 +23,7 @@ from mapreplay.floorplan import FloorPlan
 from mapreplay.floorplans.procedural import generate
 from mapreplay.grid import OCCUPIED, UNKNOWN, Cell
 from mapreplay.mapping import PredictionDtype
-from mapreplay.planners import Choice, Planner
+from mapreplay.planners import RULES, Choice, Planner
 from mapreplay.planning import Situation
 from mapreplay.predictors import NoPredictor, Predictor
 from mapreplay.recorders.log import step_table as table
@@ -521,7 +521,7 @@ def test_the_first_are_shown_and_all_are_counted(true: Recorded, tmp_path: Path)
 
 
 def test_other_versions_may_explain_a_difference(true: Recorded, tmp_path: Path) -> None:
-    header = replace(true.header, versions=(("numpy", "0.1"),))
+    header = replace(true.header, versions=(("numpy", "0.1"), ("rules", RULES)))
     assert verify(write(tmp_path, header, true.steps)).notes == ()
     lie = replace(true.steps[0], frontier=true.steps[0].frontier[1:])
     (note,) = verify(write(tmp_path, header, [lie, *true.steps[1:]])).notes

@@ -1,0 +1,48 @@
+"""How planners decided in logs without ``rules`` among their versions: those before 0.2.0.
+
+Their gains were sums of rounded numbers in the order of the rays, so that a tie could be decided
+by the last bit. They are kept to make the decisions of such logs again, bit for bit.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from mapreplay.grid import UNKNOWN
+from mapreplay.mapping import dequantize
+from mapreplay.planners import Choice, Planner, best
+from mapreplay.planners.informative_path import InformativePath
+from mapreplay.planning import Float64s, Situation
+
+
+class CostUtility:
+    """`mapreplay.planners.cost_utility.CostUtility`, with rounded gains."""
+
+    def choose(self, situation: Situation) -> Choice:
+        """See `mapreplay.planners.Planner`."""
+        unseen = situation.observed == UNKNOWN
+        worth = np.asarray(unseen, np.float64)
+        if situation.prediction is not None:
+            confidence = np.abs(2 * dequantize(situation.prediction) - 1)
+            worth = np.where(unseen, 1 - confidence, 0.0)
+        reward = situation.sums_in_view(worth)
+        utility = reward / (1 + situation.costs)
+        return Choice(best(utility, situation.costs), utility, reward)
+
+
+class Informative(InformativePath):
+    """`InformativePath`, with gains as they come."""
+
+    @staticmethod
+    def settled(gains: Float64s) -> Float64s:
+        """See `InformativePath`."""
+        return gains
+
+
+PLANNERS: Final[dict[str, Planner]] = {
+    "cost-utility": CostUtility(),
+    "informative-path": Informative(),
+}
+"""By the names in the logs; the others decide as they did."""
