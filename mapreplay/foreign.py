@@ -30,6 +30,7 @@ from mapreplay.planning import shortest_paths
 from mapreplay.sensor import Hits
 from mapreplay.stages import Travelled, measure
 from mapreplay.step import (
+    NO_BUDGET,
     Candidate,
     Cells,
     Decision,
@@ -74,7 +75,7 @@ class ForeignEpisode:
         planner: str,
         simulator: str = "another simulator",
         predictor: PredictorIdentity = NO_PREDICTOR,
-        max_steps: int = 10_000_000,
+        max_steps: int = NO_BUDGET,
         **config: Any,
     ) -> None:
         """Describe the episode.
@@ -85,7 +86,7 @@ class ForeignEpisode:
             planner: Its name.
             simulator: What made the steps, by name.
             predictor: Name and weights' hash of what predicts.
-            max_steps: The budget.
+            max_steps: The budget; by default there is none.
             **config: Further keys of `EpisodeConfig`, such as ``seed`` or ``coverage``.
 
         Raises:

@@ -24,6 +24,8 @@ from mapreplay.sensor import Hits, Sensor
 FIRST_STAMP_NS: Final = 1_000_000_000
 STEP_NS: Final = 100_000_000
 OURS: Final = "mapreplay"
+NO_BUDGET: Final = 10_000_000
+"""So many moves are no budget: of episodes that end by themselves."""
 
 Cells = npt.NDArray[np.int32]
 """int32[n, 2]: (row, col) of n cells."""
@@ -240,6 +242,11 @@ class EpisodeHeader:
     def explorable(self) -> Mask:
         """bool[H, W]: the cells that count, those that can be explored from the start."""
         return explorable(self.floor_plan.cells, self.start)
+
+    @property
+    def budget(self) -> int | None:
+        """Moves that are allowed; None if nothing limits them."""
+        return self.max_steps if self.max_steps < NO_BUDGET else None
 
     @property
     def sensor(self) -> Sensor:

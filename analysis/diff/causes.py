@@ -107,7 +107,7 @@ def _ranking(_a: EpisodeLog, _b: EpisodeLog, moment: Moment) -> str:
     )
 
 
-def _decision(_a: EpisodeLog, b: EpisodeLog, moment: Moment) -> str:
+def _decision(a: EpisodeLog, b: EpisodeLog, moment: Moment) -> str:
     step_a, step_b = _steps(moment)
     one, other = step_a.decision, step_b.decision
     if one is None or other is None:
@@ -116,6 +116,12 @@ def _decision(_a: EpisodeLog, b: EpisodeLog, moment: Moment) -> str:
     seen = "both saw the same map; " if same_map else ""
     if one.mode is not other.mode:
         seen += f"A is in {one.mode} mode, B in {other.mode} mode; "
+    if one.random_draw != other.random_draw and None not in (one.random_draw, other.random_draw):
+        seeds = [log.header.at(moment.index).config.seed for log in (a, b)]
+        by = f" (seed {seeds[0]} in A, {seeds[1]} in B)" if seeds[0] != seeds[1] else ""
+        return (
+            f"{seen}the draw differs{by}: A drew {as_text(one.target)}, B {as_text(other.target)}"
+        )
     if one.target == other.target:
         return f"{seen}both chose {as_text(one.target)}, on other paths or by another draw"
     theirs = rating(b, step_b, moment.before_b, one.target)

@@ -8,13 +8,14 @@ and its ranking from the maps, the decision from the ranking, the move from the 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final
 
+from mapreplay.grid import Cell
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.pictures.layers import side_by_side
-from mapreplay.step import Cells, Decision, EpisodeHeader, Step, differences
+from mapreplay.step import MAX_RIVALS, Cells, Decision, EpisodeHeader, Step, differences
 
 
 class Layer(StrEnum):
@@ -157,8 +158,8 @@ def _parts_of_decision(
         yield Layer.END
         return
     # Other planners have other utilities; what they have in common is an order.
-    rated = _ratings if same_planner else _order
-    if rated(a) != rated(b):
+    ranked_alike = _rated_alike(a, b) if same_planner else _order(a) == _order(b)
+    if not ranked_alike:
         yield Layer.RANKING
     if (a.target, a.mode, a.random_draw) != (b.target, b.mode, b.random_draw):
         yield Layer.DECISION
@@ -168,12 +169,45 @@ def _parts_of_decision(
         yield Layer.DECISION
 
 
-def _ratings(decision: Decision) -> list[tuple[object, ...]]:
-    """The candidates bit for bit; NaN equals itself."""
-    return [
-        (c.cell, c.utility.hex(), c.reward.hex(), c.straight, c.diagonal)
+def _rated_alike(a: Decision, b: Decision) -> bool:
+    """Whether one rating of the frontier can be behind what both logged of it, bit for bit.
+
+    Each logs what it chose and the best of the others, so that after different choices, such as
+    two draws, the two lists differ though the rating is the same.
+    """
+    of_a, of_b = _ratings(a), _ratings(b)
+    if any(of_a[cell].bits != of_b[cell].bits for cell in of_a.keys() & of_b.keys()):
+        return False
+    return _could_be_left_out(of_a, b, of_b) and _could_be_left_out(of_b, a, of_a)
+
+
+def _could_be_left_out(
+    candidates: dict[Cell, _Rating], other: Decision, known: dict[Cell, _Rating]
+) -> bool:
+    """Whether those that `other` does not list come after all rivals that it does."""
+    missing = [rating for cell, rating in candidates.items() if cell not in known]
+    if not missing or not other.rivals:  # nothing is said of the others
+        return True
+    last = max(known[rival.cell] for rival in other.rivals)
+    return len(other.rivals) == MAX_RIVALS and min(missing) >= last
+
+
+@dataclass(frozen=True, order=True)
+class _Rating:
+    """A candidate by its place in a ranking."""
+
+    place: tuple[float, float, Cell]
+    bits: tuple[object, ...] = field(compare=False)
+    """What is logged of it; NaN equals itself."""
+
+
+def _ratings(decision: Decision) -> dict[Cell, _Rating]:
+    return {
+        c.cell: _Rating(
+            (-c.utility, c.cost, c.cell), (c.utility.hex(), c.reward.hex(), c.straight, c.diagonal)
+        )
         for c in (decision.chosen, *decision.rivals)
-    ]
+    }
 
 
 def _order(decision: Decision) -> list[tuple[object, ...]]:

@@ -33,10 +33,11 @@ class PairDiff:
     """The step at which the agents part."""
     outcome_a: str
     outcome_b: str
-    time_a: int
-    """Mapping time; under a common budget, which it is where the target was not reached."""
-    time_b: int
-    difference: int
+    time_a: int | None
+    """Mapping time; under a common budget, which it is where the target was not reached. None
+    where that is undefined: without a true map, or not reached without a budget."""
+    time_b: int | None
+    difference: int | None
     """time_b - time_a."""
     f1_a: float
     """At the end, like the next."""
@@ -61,7 +62,7 @@ def _diff(pair: tuple[LoggedEpisode, LoggedEpisode]) -> PairDiff | MapreplayErro
     except MapreplayError as error:
         return error
     first, move = partings.layer, partings.first.get(Layer.MOVE)
-    budget = min(a.header.max_steps, b.header.max_steps)
+    budget = min((e.header.budget for e in pair if e.header.budget is not None), default=None)
     time_a, time_b = (mapping_time(episode, budget) for episode in pair)
     return PairDiff(
         floor_plan=a.row.floor_plan,
@@ -74,7 +75,7 @@ def _diff(pair: tuple[LoggedEpisode, LoggedEpisode]) -> PairDiff | MapreplayErro
         outcome_b=b.row.outcome,
         time_a=time_a,
         time_b=time_b,
-        difference=time_b - time_a,
+        difference=None if time_a is None or time_b is None else time_b - time_a,
         f1_a=a.row.f1,
         f1_b=b.row.f1,
         file_a=printable(str(a.path)),
@@ -82,10 +83,17 @@ def _diff(pair: tuple[LoggedEpisode, LoggedEpisode]) -> PairDiff | MapreplayErro
     )
 
 
-def mapping_time(episode: LoggedEpisode, budget: int) -> int:
-    """Mapping time under a budget, all of which it takes where the target was not reached."""
+def mapping_time(episode: LoggedEpisode, budget: int | None) -> int | None:
+    """Mapping time under a budget, all of which it takes where the target was not reached.
+
+    None where it is undefined: without a true map, or not reached without a budget.
+    """
+    if not episode.header.floor_plan.has_truth:
+        return None
     time = episode.row.mapping_time
-    return budget if time is None else min(time, budget)
+    if time is None or budget is None:
+        return budget if time is None else time
+    return min(time, budget)
 
 
 _DTYPES: Final = {
@@ -98,9 +106,13 @@ _DTYPES: Final = {
 }
 
 
+def _rank(diff: PairDiff) -> tuple[bool, int, str, int]:
+    return diff.difference is None, -abs(diff.difference or 0), diff.floor_plan, diff.seed
+
+
 def pairs_frame(diffs: Sequence[PairDiff]) -> pl.DataFrame:
-    """One row a pair, the largest difference of mapping time first."""
-    ranked = sorted(diffs, key=lambda d: (-abs(d.difference), d.floor_plan, d.seed))
+    """One row a pair, the largest difference of mapping time first, undefined ones last."""
+    ranked = sorted(diffs, key=_rank)
     schema = {f.name: _DTYPES[str(f.type)] for f in fields(PairDiff)}
     frame = pl.DataFrame([asdict(d) for d in ranked], schema=schema)
     return frame.with_columns(pl.col(pl.Float64).fill_nan(None))

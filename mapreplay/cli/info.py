@@ -42,7 +42,7 @@ def info(
         ("floor plan", "true map", "known" if plan.has_truth else "not known"),
         ("floor plan", "sha256", plan.sha256),
         ("agent", "start", "row {}, col {}".format(*header.start)),
-        ("agent", "budget", f"{header.max_steps} steps"),
+        ("agent", "budget", "none" if header.budget is None else f"{header.budget} steps"),
         ("agent", "simulator", header.simulator),
         ("predictor", "name", header.predictor.name),
         ("predictor", "sha256", header.predictor.sha256 or "-"),

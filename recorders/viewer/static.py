@@ -171,7 +171,7 @@ def describe(header: EpisodeHeader) -> str:
         "delta free / occupied": f"{config.delta_free:g} / {config.delta_occupied:g}",
         "sensor": f"{config.rays} rays of {config.reach} cells",
         "seed": str(config.seed),
-        "at most": f"{header.max_steps} steps",
+        "at most": "no limit" if header.budget is None else f"{header.budget} steps",
         "simulator": header.simulator,
         **dict(header.versions),
     }

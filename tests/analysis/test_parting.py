@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from drawing import plan
+from mapreplay.analysis.diff import divergence as parting
 from mapreplay.analysis.diff.causes import rating
 from mapreplay.analysis.diff.divergence import Layer, find_partings
 from mapreplay.analysis.diff.pair import diff_frame, diff_logs, rest_of, spans_of
@@ -16,11 +17,12 @@ from mapreplay.episode import prepare_episode, run_episode
 from mapreplay.errors import UsageError
 from mapreplay.floorplans import open_source
 from mapreplay.foreign import ForeignEpisode
+from mapreplay.grid import Cell
 from mapreplay.planners import Choice
 from mapreplay.planning import Situation
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.writer import EpisodeWriter
-from mapreplay.step import Decision, EpisodeHeader, Outcome, Step
+from mapreplay.step import Candidate, Decision, EpisodeHeader, Mode, Outcome, Step
 from recordings import THREE_ROOMS, BlurPredictor, three_rooms
 
 
@@ -162,6 +164,49 @@ def test_planners_part_in_what_they_want_and_the_margins_are_told(tmp_path: Path
     )
     assert {s.what for s in diff.headers} == {"planner"}
     assert diff_frame(diff).filter(of="parting").height == len(diff.causes)
+
+
+def test_two_random_runs_part_by_the_draw_and_not_by_the_ranking(tmp_path: Path) -> None:
+    logs = []
+    for seed in (1, 2, 3):
+        episode = three_rooms(planner="random", seed=seed, max_steps=12)
+        steps = list(run_episode(episode))
+        logs.append(write(tmp_path / f"{seed}.mcap", episode.header, steps))
+    for other, seed in zip(logs[1:], (2, 3), strict=True):
+        diff = diff_logs(logs[0], other)
+        assert diff.cause is not None
+        assert (diff.cause.step, diff.cause.layer) == (0, Layer.DECISION)
+        assert f"the draw differs (seed 1 in A, {seed} in B)" in diff.cause.text
+        assert Layer.RANKING not in {cause.layer for cause in diff.causes}
+
+
+def rated(chosen: int, *others: int, utilities: dict[int, float] | None = None) -> Decision:
+    """A decision for the cell (0, chosen) with the rivals (0, ...); a column is a cost."""
+    worth = utilities or {}
+    candidates = [Candidate(Cell(0, c), worth.get(c, 1.0), 1.0, c, 0) for c in (chosen, *others)]
+    return Decision(
+        candidates[0], np.zeros((2, 2), np.int32), Mode.NORMAL, tuple(candidates[1:]), 5
+    )
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "alike"),
+    [
+        (rated(9, 1, 2, 3, 4, 5), rated(8, 1, 2, 3, 4, 5), True),  # both far: not listed there
+        (rated(9, 1, 2, 3, 4, 5), rated(2, 1, 3, 4, 5, 6), True),
+        (rated(1, 2, 3), rated(3, 1, 2), True),
+        (rated(9, 1, 2, 3, 4, 5), rated(9, 5, 4, 3, 2, 1), True),  # whatever their order
+        (rated(9, 1, 2, 3, 4, 5), rated(8, 1, 2, 4, 5, 6), False),  # 3 would be listed
+        (rated(9, 1, 2, 3, 4, 5), rated(0, 1, 2, 3, 4, 5), False),  # 0 is nearer than all of A's
+        (rated(1, 2, 3), rated(1, 2, 3, utilities={3: 0.5}), False),
+        (rated(1, 2, 3), rated(1, 2, 4), False),  # all are listed
+    ],
+)  # fmt: skip
+def test_rankings_are_compared_as_far_as_both_are_logged(
+    a: Decision, b: Decision, alike: bool
+) -> None:
+    for one, other in ((a, b), (b, a)):
+        assert parting._rated_alike(one, other) is alike
 
 
 def test_any_frontier_cell_can_be_rated_again_as_it_was(tmp_path: Path) -> None:

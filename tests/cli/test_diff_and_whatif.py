@@ -4,10 +4,13 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 import pytest
 
 from commands import Run
+from mapreplay import EpisodeWriter, ForeignEpisode, unknown_floor_plan
+from mapreplay.floorplan import FloorPlan
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.pictures.layers import first_parting
 
@@ -134,3 +137,23 @@ def test_whatif_needs_a_prediction(cli: Run) -> None:
     result = cli("whatif", OBSERVED)
     assert result.code == 1
     assert "no step has a prediction to threshold" in result.err
+
+
+def test_without_a_truth_or_a_budget_there_is_no_mapping_time(cli: Run, tmp_path: Path) -> None:
+    truth = np.zeros((4, 6), np.int8)
+    known = FloorPlan("lab", truth, 0.1)
+    for side, column in (("a", 2), ("b", 3)):
+        (tmp_path / side).mkdir()
+        for seed, plan in ((1, unknown_floor_plan("lab", (4, 6), 0.1)), (2, known)):
+            episode = ForeignEpisode(plan, (1, 1), planner="theirs", seed=seed)
+            with EpisodeWriter(tmp_path / side / f"{seed}.mcap", episode.header) as writer:
+                seen = np.full((4, 6), -1, np.int8)
+                seen[:, :3] = 0
+                writer.write(episode.step((1, 1), seen))
+                writer.write(episode.step((1, column), seen, outcome="out_of_steps"))
+    done = cli("diff", tmp_path / "a", tmp_path / "b")
+    assert done.code == 0, done.err
+    assert "10000000" not in done.out
+    rows = json.loads(cli("diff", tmp_path / "a", tmp_path / "b", "--format", "json").out)["rows"]
+    assert [(r["time_a"], r["time_b"], r["difference"]) for r in rows] == [(None,) * 3] * 2
+    assert "10000000" not in cli("info", tmp_path / "a" / "1.mcap").out
