@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -43,6 +44,12 @@ _KEYS: Final = (
     "seed",
     "max-steps",
 )
+_NUMBERS: Final[dict[str, Callable[[str], Any]]] = {
+    "delta-free": float,
+    "delta-occupied": float,
+    "seed": int,
+    "max-steps": int,
+}
 _SWITCH: Final = {"on": True, "off": False}
 FORMS: Final = f"{TRUTH}, {OBSERVED}, {', '.join(f'{key}=...' for key in _KEYS)}"
 """What a change may look like."""
@@ -273,6 +280,8 @@ def _parse(change: str) -> tuple[str, Any]:
         if value not in _SWITCH:
             raise UsageError(f"--with {change}: expected fail-safe=on or fail-safe=off")
         return "fail_safe", _SWITCH[value]
+    with suppress(ValueError):  # what is no number the configuration refuses, by its name
+        return key.replace("-", "_"), _NUMBERS.get(key, str)(value)
     return key.replace("-", "_"), value
 
 

@@ -10,6 +10,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Final, Self
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from mapreplay.errors import ConfigError
@@ -30,7 +31,11 @@ _MAX_CONFIG_BYTES = 1 << 20
 _MAX_NAME = 512
 _MAX_SHOWN = 80
 
-Share = Annotated[float, Field(ge=0, le=1)]
+# Strict: nothing is cut, rounded or guessed. 5.0 is no number of steps, "yes" no switch.
+Whole = Annotated[int, Field(strict=True)]
+Number = Annotated[float, Field(strict=True)]
+Switch = Annotated[bool, Field(strict=True)]
+Share = Annotated[Number, Field(ge=0, le=1)]
 
 
 WEIGHTS_ENDING: Final = ".safetensors"
@@ -67,20 +72,26 @@ class EpisodeConfig(BaseModel):
     """U: the map under construction, whose coverage ends the episode."""
     delta_free: Share = 0.93
     delta_occupied: Share = 0.95
-    coverage: Annotated[float, Field(gt=0, le=1)] = 0.98
+    coverage: Annotated[Number, Field(gt=0, le=1)] = 0.98
     """Target coverage of U."""
-    correct_coverage: Annotated[float, Field(gt=0, le=1)] = 0.95
+    correct_coverage: Annotated[Number, Field(gt=0, le=1)] = 0.95
     """Correct coverage whose first step is the second headline."""
-    fail_safe: bool = False
-    start: tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]] | None = None
+    fail_safe: Switch = False
+    start: tuple[Annotated[Whole, Field(ge=0)], Annotated[Whole, Field(ge=0)]] | None = None
     """(row, col); None is the top-left free cell."""
-    max_steps: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
+    max_steps: Annotated[Whole, Field(ge=1, le=10_000_000)] | None = None
     """None is 4 x the explorable free cells."""
-    seed: Annotated[int, Field(ge=0, le=MAX_SEED)] = 1
-    rays: Annotated[int, Field(ge=8, le=360, multiple_of=8)] = 16
-    reach: Annotated[int, Field(ge=1, le=1000)] = 20
+    seed: Annotated[Whole, Field(ge=0, le=MAX_SEED)] = 1
+    rays: Annotated[Whole, Field(ge=8, le=360, multiple_of=8)] = 16
+    reach: Annotated[Whole, Field(ge=1, le=1000)] = 20
     """Range of the sensor in cells."""
     prediction_dtype: PredictionDtype = PredictionDtype.UINT8
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _plain(cls, value: object) -> object:
+        """NumPy's numbers are numbers."""
+        return value.item() if isinstance(value, np.generic) else value
 
     @field_validator("planner", "predictor")
     @classmethod
@@ -121,13 +132,13 @@ class RunConfig(EpisodeConfig):
     floorplans: str = "procedural:60000"
     ids: Path | None = None
     """A file with one floor-plan id a line."""
-    resolution: Annotated[float, Field(gt=0, le=10)] | None = None
+    resolution: Annotated[Number, Field(gt=0, le=10)] | None = None
     """Metres a cell, for sources that are rasterized."""
-    episodes: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
+    episodes: Annotated[Whole, Field(ge=1, le=10_000_000)] | None = None
     """None is one for each floor plan. More than there are plans: again, with the next seed."""
-    jobs: Annotated[int, Field(ge=1, le=1024)] = 1
+    jobs: Annotated[Whole, Field(ge=1, le=1024)] = 1
     device: str = "cpu"
-    profile: bool = False
+    profile: Switch = False
     out: Path | None = None
 
     @field_validator("predictor")

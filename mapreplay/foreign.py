@@ -15,7 +15,8 @@ a target                no ``/decision`` and ``/plan``; nothing to explain
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
@@ -82,7 +83,7 @@ class ForeignEpisode:
 
         Args:
             floor_plan: The true map, or an `unknown_floor_plan`.
-            start: (row, col) of the first pose.
+            start: (row, col) of the first pose, in whole numbers.
             planner: Its name.
             simulator: What made the steps, by name.
             predictor: Name and weights' hash of what predicts.
@@ -91,13 +92,14 @@ class ForeignEpisode:
 
         Raises:
             ConfigError: a key is unknown or out of range.
-            FloorPlanError: the start is outside, or not free in the true map.
+            FloorPlanError: the start is not free in the true map.
+            UsageError: the start is outside, or not in whole numbers.
         """
         values = {"planner": planner, "predictor": predictor.name, "max_steps": max_steps}
         self.header = EpisodeHeader(
             config=EpisodeConfig.of(values | config),
             floor_plan=floor_plan,
-            start=floor_plan.check_start(Cell(*start)),
+            start=floor_plan.check_start(_cell("start", start, floor_plan.shape)),
             max_steps=max_steps,
             predictor=predictor,
             versions=versions(),
@@ -122,7 +124,7 @@ class ForeignEpisode:
         """The next step; steps are numbered from 0 and stamped 0.1 s apart.
 
         Args:
-            agent: (row, col).
+            agent: (row, col), in whole numbers.
             observed: int8[H, W] of -1, 0, 100.
             p_wall: float[H, W], P(occupied) in [0, 1].
             fused: int8[H, W]; by default the observed map completed by `p_wall`.
@@ -132,13 +134,21 @@ class ForeignEpisode:
             outcome: ``mapped``, ``sealed_in`` or ``out_of_steps`` at the last step.
 
         Raises:
-            UsageError: a map has another size or other values, or the outcome is none.
+            UsageError: a map has another size or other values, a cell is outside or not in whole
+                numbers, the first pose is not the start, or the outcome is none.
         """
         header = self.header
         cell = self._check_cell("agent", agent)
+        if self._index == 0 and cell != header.start:
+            raise UsageError(
+                f"agent {tuple(cell)} at step 0: the episode starts at {tuple(header.start)}; "
+                "give the first pose as start"
+            )
         self._check_map("observed", observed)
         quantized = None
         if p_wall is not None:
+            if not isinstance(p_wall, np.ndarray) or p_wall.dtype.kind not in "fiu":
+                raise UsageError(f"p_wall: expected float{list(observed.shape)} of NumPy")
             if p_wall.shape != observed.shape:
                 raise UsageError(f"p_wall: shape {p_wall.shape} on a map of {observed.shape}")
             try:
@@ -154,11 +164,11 @@ class ForeignEpisode:
         step = Step(
             index=self._index,
             agent=cell,
-            hits=np.empty(0, np.int16) if hits is None else hits,
+            hits=self._check_hits(hits),
             observed=observed,
             p_wall=quantized,
             fused=fused,
-            frontier=np.empty((0, 2), np.int32) if frontier is None else frontier,
+            frontier=self._check_frontier(frontier),
             decision=None if target is None or ended else self._decision(cell, target, fused),
             metrics=measure(header, observed, quantized, fused, length),
             events=_ending(ended, self._index),
@@ -183,19 +193,73 @@ class ForeignEpisode:
         chosen = Candidate(goal, unrated, unrated, straight, diagonal)
         return Decision(chosen, path, Mode.NORMAL, (), None)
 
-    def _check_cell(self, what: str, cell: tuple[int, int]) -> Cell:
-        row, col = int(cell[0]), int(cell[1])
-        height, width = self.header.floor_plan.shape
-        if not (0 <= row < height and 0 <= col < width):
-            raise UsageError(f"{what} ({row}, {col}) lies outside of {height} x {width}")
-        return Cell(row, col)
+    def _check_cell(self, what: str, cell: Sequence[SupportsIndex | float]) -> Cell:
+        return _cell(what, cell, self.header.floor_plan.shape)
 
     def _check_map(self, what: str, cells: Grid) -> None:
-        problem = check_grid(cells)
+        problem = check_grid(cells) if isinstance(cells, np.ndarray) else f"got {type(cells)}"
         if problem is None and cells.shape != self.header.floor_plan.shape:
             problem = f"shape {cells.shape} on a floor plan of {self.header.floor_plan.shape}"
         if problem is not None:
             raise UsageError(f"{what}: {problem}")
+
+    def _check_hits(self, hits: Hits | None) -> Hits:
+        if hits is None:
+            return np.empty(0, np.int16)
+        config, given = self.header.config, np.asarray(hits)
+        if given.shape != (config.rays,) or given.dtype.kind not in "iu":
+            raise UsageError(
+                f"hits: expected {config.rays} whole numbers, one for each ray, got "
+                f"{given.dtype}{list(given.shape)}"
+            )
+        if given.min() < 0 or given.max() > config.reach:
+            raise UsageError(f"hits: should be 0 to {config.reach}, the reach in cells")
+        return given.astype(np.int16)
+
+    def _check_frontier(self, frontier: Cells | None) -> Cells:
+        if frontier is None or not len(frontier):
+            return np.empty((0, 2), np.int32)
+        given, shape = np.asarray(frontier), self.header.floor_plan.shape
+        if given.ndim != 2 or given.shape[1] != 2 or given.dtype.kind not in "iu":
+            raise UsageError(
+                f"frontier: expected (row, col) in whole numbers, got {given.dtype}"
+                f"{list(given.shape)}"
+            )
+        outside = given[((given < 0) | (given >= shape)).any(axis=1)]
+        if len(outside):
+            raise UsageError(
+                f"frontier: {tuple(outside[0].tolist())} lies outside of {shape[0]} x {shape[1]}"
+            )
+        return given.astype(np.int32)
+
+
+def _cell(what: str, cell: Sequence[SupportsIndex | float], shape: tuple[int, int]) -> Cell:
+    """A cell of a map of `shape`, if it is one: nothing is cut or rounded.
+
+    Raises:
+        UsageError: it is not two whole numbers, or outside.
+    """
+    try:
+        row, col = (_whole(value) for value in cell)
+    except (TypeError, ValueError):
+        raise UsageError(f"{what} {cell!r}: expected (row, col), two whole numbers") from None
+    height, width = shape
+    if not (0 <= row < height and 0 <= col < width):
+        raise UsageError(f"{what} ({row}, {col}) lies outside of {height} x {width}")
+    return Cell(row, col)
+
+
+def _whole(value: object) -> int:
+    """An integer of Python or NumPy, or a number that is one, such as 5.0.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if isinstance(value, int | np.integer) and not isinstance(value, bool):
+        return int(value)
+    if isinstance(value, float | np.floating) and float(value).is_integer():
+        return int(value)
+    raise ValueError(f"{value!r} is no whole number")
 
 
 def _outcome(name: str) -> Outcome:

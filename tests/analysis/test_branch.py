@@ -204,7 +204,7 @@ def test_bad_changes_are_named(parent: Recorded, changes: tuple[str, ...], said:
 
 
 def test_values_out_of_range_are_named(parent: Recorded) -> None:
-    with pytest.raises(ConfigError, match=r"delta_occupied = '1\.5'"):
+    with pytest.raises(ConfigError, match=r"delta_occupied = 1\.5"):
         prepare_branch(EpisodeLog(parent.path), K, ["delta-occupied=1.5"])
 
 

@@ -144,3 +144,88 @@ def test_wrong_input_is_named() -> None:
     ]:  # fmt: skip
         with pytest.raises(UsageError, match=message):
             episode.step(**arguments)  # type: ignore[arg-type]
+
+
+def lab() -> ForeignEpisode:
+    return ForeignEpisode(unknown_floor_plan("lab", (4, 6), 0.1), (1, 2), planner="theirs", rays=8)
+
+
+SEEN = np.zeros((4, 6), np.int8)
+
+
+@pytest.mark.parametrize(
+    ("pose", "message"),
+    [
+        ((1, 5.3), r"agent \(1, 5.3\): expected \(row, col\), two whole numbers"),
+        ((float("nan"), 2), "two whole numbers"),
+        ((float("inf"), 2), "two whole numbers"),
+        ((True, 2), "two whole numbers"),
+        ((np.True_, 2), "two whole numbers"),
+        (("1", "2"), "two whole numbers"),
+        ((1, 2, 3), "two whole numbers"),
+        ((1,), "two whole numbers"),
+        (None, "two whole numbers"),
+        ((-1, 2), r"agent \(-1, 2\) lies outside of 4 x 6"),
+        ((1, 6), r"agent \(1, 6\) lies outside of 4 x 6"),
+        ((1, 3), r"agent \(1, 3\) at step 0: the episode starts at \(1, 2\)"),
+    ],
+)
+def test_a_pose_that_is_no_cell_or_not_the_start_is_refused(pose: object, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        lab().step(pose, SEEN)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "pose", [(1, 2), (np.int64(1), np.uint8(2)), (1.0, np.float32(2)), np.array([1, 2])]
+)
+def test_a_pose_in_whole_numbers_of_any_type_is_that_cell(pose: object) -> None:
+    step = lab().step(pose, SEEN)  # type: ignore[arg-type]
+    assert step.agent == (1, 2)
+    assert all(type(value) is int for value in step.agent)
+
+
+@pytest.mark.parametrize("start", [(1.5, 2), (True, 2), ("1", 2), (1, 2, 3), (9, 9), (-1, 0)])
+def test_a_start_that_is_no_cell_is_refused(start: object) -> None:
+    with pytest.raises(UsageError, match="start"):
+        ForeignEpisode(unknown_floor_plan("lab", (4, 6), 0.1), start, planner="theirs")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("what", "value"),
+    [
+        ("target", (1.5, 2)),
+        ("target", (9, 2)),
+        ("hits", np.zeros(8, np.float64)),
+        ("hits", np.zeros(7, np.int16)),
+        ("hits", np.full(8, 21, np.int16)),
+        ("hits", np.full(8, -1, np.int16)),
+        ("frontier", np.array([[1.5, 2]])),
+        ("frontier", np.array([1, 2])),
+        ("frontier", np.array([[1, 6]])),
+        ("p_wall", [[0.5] * 6] * 4),
+        ("p_wall", np.full((4, 6), "x")),
+        ("fused", SEEN.tolist()),
+    ],
+)
+def test_nothing_else_is_cut_or_guessed_either(what: str, value: object) -> None:
+    with pytest.raises(UsageError, match=what):
+        lab().step((1, 2), SEEN, **{what: value})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("seed", 1.5), ("seed", "1"), ("seed", True), ("rays", 8.0), ("fail_safe", "yes"),
+     ("coverage", "0.9"), ("max_steps", 3.0)],
+)  # fmt: skip
+def test_a_setting_of_another_type_is_refused(key: str, value: object) -> None:
+    with pytest.raises(ConfigError, match=key):
+        ForeignEpisode(unknown_floor_plan("lab", (4, 6), 0.1), (1, 2), "theirs", **{key: value})  # type: ignore[arg-type]
+
+
+def test_a_setting_of_numpy_is_one_of_python() -> None:
+    plan = unknown_floor_plan("lab", (4, 6), 0.1)
+    config = ForeignEpisode(
+        plan, (1, 2), "theirs", seed=np.int64(3), coverage=np.float32(0.5)
+    ).header.config
+    assert (config.seed, config.coverage) == (3, 0.5)
+    assert type(config.seed) is int

@@ -145,3 +145,21 @@ def test_a_value_is_shown_as_far_as_it_can_be(tmp_path: Path, content: bytes, sa
     (tmp_path / "c.toml").write_bytes(content)
     with pytest.raises(ConfigError, match=said):
         RunConfig.of(read_toml(tmp_path / "c.toml"))
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["seed = 1.5", "seed = 1.0", 'seed = "1"', "seed = true", "start = [5.3, 2]",
+     "start = [5.0, 2]", 'fail_safe = "yes"', "fail_safe = 1", 'coverage = "0.9"',
+     "coverage = true", "jobs = 2.0",
+     "episodes = 2.0", 'profile = "on"', 'resolution = "0.1"'],
+)  # fmt: skip
+def test_nothing_in_a_file_is_cut_or_guessed(tmp_path: Path, line: str) -> None:
+    path = tmp_path / "run.toml"
+    path.write_text(line)
+    with pytest.raises(ConfigError, match=line.partition(" ")[0]):
+        RunConfig.of(read_toml(path))
+
+
+def test_a_whole_number_is_a_number() -> None:
+    assert EpisodeConfig.of({"coverage": 1}).coverage == 1.0
