@@ -15,8 +15,9 @@ from mapreplay.compiled import njit
 
 SQRT2: Final = float(np.sqrt(2.0))
 
-# The eight moves, straight ones first; the order decides which of two equally short paths
-# is taken, and is part of the log's contract (`verify` makes every decision again).
+# The eight moves, straight ones first (E, N, W, S, NE, NW, SW, SE); the order of the last move,
+# not of the neighbour that it comes from, decides which of two equally short paths is taken, and
+# is part of the log's contract (`verify` makes every decision again).
 MOVES: Final = np.array(
     [(0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, -1), (-1, 1)], np.int64
 )

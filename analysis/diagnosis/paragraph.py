@@ -11,7 +11,7 @@ from mapreplay.analysis.diagnosis.detect import Ending, NearMissKind
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, Sealing
 from mapreplay.analysis.diagnosis.harms import HarmKind
 from mapreplay.analysis.diagnosis.taxonomy import words
-from mapreplay.analysis.reporting.wording import counted
+from mapreplay.analysis.reporting.wording import counted, share
 
 TOLD: Final = 3
 """Sealings of an episode that are told in full."""
@@ -81,9 +81,7 @@ def _outcome(diagnosis: Diagnosis) -> str:
 def _sealing(who: str, sealing: Sealing, claims: Claims) -> list[str]:
     ending = _ENDINGS[sealing.ending].format(moves=counted(sealing.moves, "move"))
     covered = (
-        ""
-        if sealing.coverage != sealing.coverage
-        else f", with {_percent(sealing.coverage)} covered"
+        "" if sealing.coverage != sealing.coverage else f", with {share(sealing.coverage)} covered"
     )
     said = [f"{who} sealed in at step {sealing.first_step}{covered}, {ending}."]
     culprits, doorway = sealing.culprits, sealing.doorway
@@ -116,9 +114,7 @@ def _blame(sealing: Sealing, claims: Claims) -> list[str]:
     blame = sealing.blame[0]
     which = "It" if len(sealing.blame) == 1 else "The first"
     right, count = claims.right(blame.p_wall)
-    how_often = (
-        f" (such claims are right {_percent(right)} of the time, n = {count})" if count else ""
-    )
+    how_often = f" (such claims are right {share(right)} of the time, n = {count})" if count else ""
     distance = (
         ""
         if blame.distance is None
@@ -195,15 +191,11 @@ def _beside(diagnosis: Diagnosis) -> list[str]:
             counted(coverage.false_free, "wall"),
         )
         said.append(
-            f"Of the {_percent(coverage.claimed)} claimed at the end only "
-            f"{_percent(coverage.correct)} is right ({walls}, {free} taken for free)."
+            f"Of the {share(coverage.claimed)} claimed at the end only "
+            f"{share(coverage.correct)} is right ({walls}, {free} taken for free)."
         )
     return said
 
 
 def _times(number: int) -> str:
     return {1: "once", 2: "twice"}.get(number, f"{number} times")
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f} %"

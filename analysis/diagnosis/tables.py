@@ -8,7 +8,7 @@ import polars as pl
 
 from mapreplay.analysis.diagnosis import corpus
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis
-from mapreplay.analysis.reporting.wording import with_interval
+from mapreplay.analysis.reporting.wording import share, with_interval
 from mapreplay.analysis.stats.estimates import Estimate, Proportion
 
 
@@ -20,7 +20,7 @@ def groups_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
                 "episodes": row.by if row.by == "all" else f"{row.by} {row.value}",
                 "n": row.episodes,
                 "in": row.sealed.count,
-                "share": percent(row.sealed.share),
+                "share": share(row.sealed.share),
                 "95 %": interval(row.sealed),
                 "for good": row.final,
                 "times": row.sealings,
@@ -39,7 +39,7 @@ def kinds_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
             {
                 "kind": row.kind.replace("_", " "),
                 "n": row.sealings,
-                "share": percent(row.share.share),
+                "share": share(row.share.share),
                 "cover": row.coverage,
                 "walls": count(row.culprits),
                 "door": count(row.doorway),
@@ -92,9 +92,9 @@ def places_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
             {
                 "place": row.feature,
                 "sealings": row.sealings.count,
-                "share": percent(row.sealings.share),
+                "share": share(row.sealings.share),
                 "95 %": interval(row.sealings),
-                "share of all steps": percent(row.steps),
+                "share of all steps": share(row.steps),
             }
             for row in corpus.attractions(diagnoses)
             if row.sealings.of
@@ -109,7 +109,7 @@ def calibration_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
             {
                 "P(occupied)": f"{row.low:g} to {row.high:g}",
                 "predicted cells": row.claims,
-                "truly walls": percent(row.right),
+                "truly walls": share(row.right),
                 "first culprits": row.sealed,
             }
             for row in corpus.calibration(diagnoses)
@@ -125,7 +125,7 @@ def harms_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
             {
                 "what": row.kind,
                 "episodes": row.episodes.count,
-                "share": percent(row.episodes.share),
+                "share": share(row.episodes.share),
                 "95 %": interval(row.episodes),
                 "times": row.times,
                 "moves": row.moves,
@@ -133,11 +133,6 @@ def harms_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
             for row in corpus.harm_counts(diagnoses)
         ]
     )
-
-
-def percent(share: float) -> str:
-    """A share in percent; a dash where it is undefined."""
-    return "-" if share != share else f"{100 * share:.1f} %"
 
 
 def interval(rate: Proportion) -> str:

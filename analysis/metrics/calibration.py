@@ -123,7 +123,9 @@ class Bin:
 
 
 def reliability(counts: PredictionCounts, bins: int = BINS) -> tuple[Bin, ...]:
-    """The reliability diagram: `bins` stretches of equal width."""
+    """The reliability diagram: `bins` stretches of equal width, each without its upper end but
+    the last.
+    """
     free, occupied = counts.total
     both = free + occupied
     levels = both.size
@@ -145,8 +147,8 @@ class CalibrationScores:
     wall_share: float
     mean_p: float
     ece: float
-    """Expected calibration error: mean |mean prediction - wall share| of ten bins of equal
-    width, weighted by their cells (Naeini et al. 2015)."""
+    """Expected calibration error: mean |mean prediction - wall share| of ten bins of P(wall) of
+    equal width, [0, .1) to [.9, 1], weighted by their cells (Naeini et al. 2015)."""
     brier: float
     log_loss: float
     """Nats; probabilities are clipped at half a level, so that certain and wrong costs much and

@@ -25,8 +25,14 @@ def with_interval(estimate: Estimate, digits: int) -> str:
 
 
 def share(value: float) -> str:
-    """``47.1 %``."""
-    return UNDEFINED if value != value else f"{100 * value:.1f} %"
+    """``47.1 %``; what is not all or nothing is never written so: ``>99.9 %``, ``<0.1 %``."""
+    if value != value:
+        return UNDEFINED
+    if 0.9995 <= value < 1:
+        return ">99.9 %"
+    if 0 < abs(value) < 0.0005:
+        return "<0.1 %" if value > 0 else ">-0.1 %"
+    return f"{100 * value:.1f} %"
 
 
 def percent(estimate: Estimate) -> str:

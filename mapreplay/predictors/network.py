@@ -2,9 +2,9 @@
 
 Section "Architecture": a 1x1x3 input layer without bias that turns the one-hot cell into one
 learned value; nine encoding and nine decoding layers of 25 3x3 kernels, every third with
-stride 2; symmetric (additive) skips; that learned input stacked on to the input of the last
-hidden layer. What the paper leaves open is ours: ReLU, 2D transposed convolutions, a 3x3
-output convolution to one logit.
+stride 2; symmetric (additive) skips. What the paper leaves open is ours: ReLU, 2D transposed
+convolutions, a 3x3 output convolution to one logit. The learned input is stacked on to the
+input of this output convolution; the paper stacks it on to that of the last hidden layer.
 """
 
 from __future__ import annotations
