@@ -21,7 +21,7 @@ _HIDDEN: Final = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
 """
 _BLANK: Final = frozenset("\u034f\u115f\u1160\u17b4\u17b5\u3164\uffa0")
 """Letters and marks that are drawn as nothing."""
-_MARKDOWN: Final = re.compile(r"[\\`*_{}\[\]()<>#+|~&!$]")
+_MARKDOWN: Final = re.compile(r"[\\`*_{}\[\]<>#|~&$]")
 _SHORT: Final = {"\n": r"\n", "\r": r"\r", "\t": r"\t"}
 
 

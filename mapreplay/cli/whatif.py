@@ -138,7 +138,7 @@ def _story(log: EpisodeLog, step: int) -> list[str | Command | pl.DataFrame]:
     )
     lines.append("Run it on with that, closed loop:")
     lines.append(
-        Command(["mapreplay", "branch", str(log.path), "--at", str(course.sealed),
+        Command(["mapreplay", "branch", log.path, "--at", str(course.sealed),
                  "--with", f"{name}={value}"])
     )  # fmt: skip
     return lines

@@ -78,7 +78,7 @@ def test_a_shell_reads_the_words_that_were_meant() -> None:
     [
         ("nearest", "nearest"),
         ("a|b", r"a\|b"),
-        ("![x](http://y)", r"\!\[x\]\(http://y\)"),
+        ("![x](http://y)", r"!\[x\](http://y)"),
         ("<b>_a_**", r"\<b\>\_a\_\*\*"),
         ("a\n# b", r"a\\n\# b"),
     ],

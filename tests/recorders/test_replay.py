@@ -5,10 +5,14 @@ from pathlib import Path
 
 import pytest
 
+from mapreplay import ForeignEpisode, unknown_floor_plan
+from mapreplay.config import EpisodeConfig
 from mapreplay.errors import UsageError
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.pictures.replay import names_of, replays_of
+from mapreplay.recorders.viewer.static import describe
 from mapreplay.step import EpisodeHeader
+from mapreplay.text import printable
 from recordings import two_rooms
 
 SAMPLES = Path(__file__).parents[2] / "samples" / "episodes"
@@ -42,3 +46,13 @@ def test_of_several_logs_some_have_maps_and_all_have_scores() -> None:
     assert [replay.has_maps for replay in chosen] == [False, True, True]
     assert chosen[1].parts_at is None, "it is the first of those with maps"
     assert chosen[2].parts_at == 0, "another floor plan"
+
+
+def test_text_of_a_log_is_text_in_the_viewers_documents() -> None:
+    planner = "a|b\n# [x](http://y) \x1b[2J"
+    header = ForeignEpisode(unknown_floor_plan("lab", (4, 5), 0.1), (1, 1), planner).header
+    (row,) = [line for line in describe(header).splitlines() if line.startswith("| planner")]
+    assert row == r"| planner | a\|b\\n\# \[x\](http://y) \\x1b\[2J |"
+    a, b = names_of([header, replace(header, config=EpisodeConfig(planner="p" * 500))])
+    assert a == rf"A {printable(planner)}"
+    assert len(b) < 70
