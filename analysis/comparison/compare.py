@@ -42,7 +42,7 @@ from mapreplay.analysis.stats.significance import (
 )
 from mapreplay.config import MapKind
 from mapreplay.errors import MapreplayError, UsageError
-from mapreplay.step import Outcome
+from mapreplay.step import NO_BUDGET, Outcome
 
 Values = npt.NDArray[np.float64]
 """float64[plans]: one a floor plan, in the order of `Comparison.places`."""
@@ -74,7 +74,9 @@ class Measure:
 
 
 def _time(episode: LoggedEpisode, terms: Terms, budget: int) -> float:
-    return min(mapping_time(episode, terms.target), float(budget))
+    """Undefined where the target was not reached and nothing limited the steps."""
+    time = mapping_time(episode, terms.target)
+    return math.nan if time == NEVER and budget >= NO_BUDGET else min(time, float(budget))
 
 
 def mapping_time(episode: LoggedEpisode, target: float) -> float:
@@ -99,12 +101,17 @@ def _at_end(curve: npt.NDArray[np.float64], budget: int) -> float:
     return float(curve[min(budget, curve.size - 1)]) if curve.size else math.nan
 
 
+def _area(episode: LoggedEpisode, _terms: Terms, budget: int) -> float:
+    """Over the whole budget; undefined without one."""
+    return math.nan if budget >= NO_BUDGET else area(episode.coverage, budget)
+
+
 MEASURES: Final = (
     Measure("mapping time", "steps", 1, _time),
     Measure("path to target", "m", 1, _path),
     Measure("F1", "1", 3, lambda e, _, budget: _at_end(e.f1, budget)),
     Measure("correct coverage", "1", 3, lambda e, _, budget: _at_end(e.correct, budget)),
-    Measure("coverage area", "1", 3, lambda e, _, budget: area(e.coverage, budget)),
+    Measure("coverage area", "1", 3, _area),
 )
 """Maps are those at the end of the episode, or of the budget if that comes first."""
 TIME: Final = MEASURES[0].name
@@ -394,7 +401,9 @@ def _limits(plans: int, results: Sequence[GroupResult], effects: Sequence[Effect
         notes.append(f"{plans} floor plans: the intervals are rather too narrow")
     for result in results:
         if not (result.times < NEVER).any():
-            notes.append(f"{result.name} never reached the target: its time is the budget")
+            # The note that it is undefined follows from the estimate.
+            time = ": its time is the budget" if not np.isnan(result.values[TIME]).all() else ""
+            notes.append(f"{result.name} never reached the target{time}")
         undefined = {m: e.undefined for m, e in result.estimates.items() if e.undefined}
         for measure, number in undefined.items():
             notes.append(

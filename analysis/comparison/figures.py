@@ -138,7 +138,8 @@ class PairsFigure:
 
     def _scatter(self, axes: Axes, theme: Theme) -> None:
         reference, *others = self.comparison.groups
-        top = max(float(group.values[TIME].max()) for group in self.comparison.groups)
+        times = [group.values[TIME] for group in self.comparison.groups]
+        top = float(np.nanmax(times, initial=1.0))
         axes.plot([0, top], [0, top], color=theme.ink, linewidth=0.7)
         for number, group in enumerate(others, start=1):
             shade, marker = colour(number, theme), MARKERS[number % len(MARKERS)]

@@ -21,6 +21,7 @@ from mapreplay.analysis.reporting.figures import Draw, in_the_dark, render
 from mapreplay.analysis.reporting.wording import (
     change,
     counted,
+    number,
     p_number,
     p_value,
     reduction,
@@ -201,7 +202,7 @@ def _card(
         pictures += _pictures(result.name, episode)
     files = [episode.path for episode in shown]
     last = min(max(episode.row.steps, 0) for episode in shown)
-    times = " and ".join(f"{r.name} {r.values[TIME][i]:.0f}" for r in (reference, group))
+    times = " and ".join(f"{r.name} {number(r.values[TIME][i])}" for r in (reference, group))
     sentence = f"Mapping time in steps: {times} ({change(gain)})."
     return page.Card(
         [

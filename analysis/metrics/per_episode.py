@@ -39,8 +39,8 @@ def episode_metrics(
         name: steps[name][-1] if len(steps) else None for name in last
     }
     built = "observed" if log.header.config.build is MapKind.OBSERVED else "fused"
-    numbers |= _milestones(steps, "", f"coverage_{built}", log.header.max_steps)
-    numbers |= _milestones(steps, "correct_", f"correct_coverage_{built}", log.header.max_steps)
+    numbers |= _milestones(steps, "", f"coverage_{built}", log.header.budget)
+    numbers |= _milestones(steps, "correct_", f"correct_coverage_{built}", log.header.budget)
     for name, value in prediction_scores(measured.predictions).items():
         numbers[name.replace("_unobserved", "_pooled")] = value
     numbers |= {name: _mean(steps[name]) for name in CHANGES}
@@ -55,12 +55,15 @@ def episode_metrics(
 
 
 def _milestones(
-    steps: pl.DataFrame, prefix: str, column: str, budget: int
+    steps: pl.DataFrame, prefix: str, column: str, budget: int | None
 ) -> dict[str, float | int | None]:
     numbers_of_steps = steps["step"].to_numpy()
     curve = by_step(numbers_of_steps, steps[column].to_numpy())
     length = by_step(numbers_of_steps, steps["path_length"].to_numpy()).tolist()
-    numbers: dict[str, float | int | None] = {f"{prefix}area": area(curve, budget)}
+    # Without a budget there is nothing that the area could be a share of.
+    numbers: dict[str, float | int | None] = {
+        f"{prefix}area": None if budget is None else area(curve, budget)
+    }
     for level in MILESTONES:
         step, name = first_reached(curve, level), f"{prefix}{round(100 * level)}"
         numbers[f"steps_to_{name}"] = step

@@ -24,6 +24,11 @@ def with_interval(estimate: Estimate, digits: int) -> str:
     return f"{mean} ({estimate.low:.{digits}f} to {estimate.high:.{digits}f})"
 
 
+def number(value: float, digits: int = 0) -> str:
+    """``238``."""
+    return UNDEFINED if value != value else f"{value:.{digits}f}"
+
+
 def share(value: float) -> str:
     """``47.1 %``; what is not all or nothing is never written so: ``>99.9 %``, ``<0.1 %``."""
     if value != value:

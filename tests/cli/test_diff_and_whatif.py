@@ -145,7 +145,7 @@ def test_without_a_truth_or_a_budget_there_is_no_mapping_time(cli: Run, tmp_path
     for side, column in (("a", 2), ("b", 3)):
         (tmp_path / side).mkdir()
         for seed, plan in ((1, unknown_floor_plan("lab", (4, 6), 0.1)), (2, known)):
-            episode = ForeignEpisode(plan, (1, 1), planner="theirs", seed=seed)
+            episode = ForeignEpisode(plan, (1, 1), planner=f"theirs-{side}", seed=seed)
             with EpisodeWriter(tmp_path / side / f"{seed}.mcap", episode.header) as writer:
                 seen = np.full((4, 6), -1, np.int8)
                 seen[:, :3] = 0
@@ -157,3 +157,7 @@ def test_without_a_truth_or_a_budget_there_is_no_mapping_time(cli: Run, tmp_path
     rows = json.loads(cli("diff", tmp_path / "a", tmp_path / "b", "--format", "json").out)["rows"]
     assert [(r["time_a"], r["time_b"], r["difference"]) for r in rows] == [(None,) * 3] * 2
     assert "10000000" not in cli("info", tmp_path / "a" / "1.mcap").out
+    compared = cli("compare", tmp_path, "--html", tmp_path / "c.html")
+    assert "10000000" not in compared.out + (tmp_path / "c.html").read_text()
+    per = cli("metrics", tmp_path / "a" / "2.mcap", "--per", "episode", "--format", "json")
+    assert json.loads(per.out)["rows"][0]["area"] is None
