@@ -28,6 +28,7 @@ from mapreplay.grid import Grid, Mask
 from mapreplay.mapping import PredictionDtype, Thresholds
 from mapreplay.predictors import Predictor
 from mapreplay.step import PredictorIdentity
+from mapreplay.text import one_line
 
 OBSERVATIONS: Final = (1, 5, *range(10, 201, 10), *range(225, 501, 25))
 """Where the curve is measured."""
@@ -111,7 +112,7 @@ def load_curve(path: Path) -> CurveData:
             plans,
         )
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise MapreplayError(f"{path}: not the data of a curve ({error})") from None
+        raise MapreplayError(f"{path}: not the data of a curve ({one_line(error)})") from None
 
 
 def measure_curve(

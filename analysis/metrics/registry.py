@@ -8,6 +8,7 @@ from mapreplay import plugins
 from mapreplay.errors import MapreplayError
 from mapreplay.grid import FREE, OCCUPIED, Mask
 from mapreplay.step import EpisodeHeader, Step
+from mapreplay.text import one_line
 
 
 class Metric(Protocol):
@@ -74,5 +75,6 @@ def guarded(name: str, metric: Metric, header: EpisodeHeader, region: Mask, step
         return float(metric.measure(header, region, step))
     except Exception as error:
         raise MapreplayError(
-            f"metric {name!r} failed at step {step.index} ({type(error).__name__}: {error})"
+            f"metric {name!r} failed at step {step.index} "
+            f"({type(error).__name__}: {one_line(error)})"
         ) from error

@@ -77,7 +77,7 @@ def emit(
         frame.write_parquet(buffer)
         data = buffer.getvalue()
     elif form is Format.CSV:
-        data = frame.write_csv().encode()
+        data = _csv(frame, output)
     elif form is Format.JSON:
         data = (_json_head(schema) + ",".join(_json_rows(frame)) + _JSON_TAIL).encode()
     else:
@@ -115,7 +115,7 @@ def emit_parts(
     elif form is Format.CSV:
         frames = (part.collect() for part in parts)
         _deliver(
-            (f.write_csv(include_header=i == 0).encode() for i, f in enumerate(frames)),
+            (_csv(f, output, head=i == 0) for i, f in enumerate(frames)),
             output,
             force=force,
         )
@@ -167,6 +167,14 @@ def _deliver(blocks: Iterable[bytes], output: Path | None, *, force: bool) -> No
     for block in blocks:
         sys.stdout.buffer.write(block)
     sys.stdout.buffer.flush()
+
+
+def _csv(frame: pl.DataFrame, output: Path | None, *, head: bool = True) -> bytes:
+    """All text as it is; but what would drive a terminal is escaped where it goes to one."""
+    text = frame.write_csv(include_header=head)
+    if output is None and sys.stdout.isatty():
+        text = "\n".join(map(printable, text.split("\n")))
+    return text.encode()
 
 
 def _deliver_text(text: pl.DataFrame | Shown, output: Path | None, *, force: bool) -> None:

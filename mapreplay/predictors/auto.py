@@ -25,6 +25,7 @@ from mapreplay.grid import Grid
 from mapreplay.predictors import Predictor, load_predictor
 from mapreplay.predictors.auto_features import WORDS, count_words
 from mapreplay.step import PredictorIdentity
+from mapreplay.text import one_line
 
 PARAMETERS: Final = Path(__file__).parent / "weights_v1" / "auto.json"
 UNSURE: Final = "unsure: nothing is predicted"
@@ -93,7 +94,9 @@ def read_classifier(path: Path = PARAMETERS) -> Classifier:
     except OSError as error:
         raise WeightsError(f"{path}: cannot be read ({error.strerror})") from None
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise WeightsError(f"{path}: not the parameters of a classifier ({error})") from None
+        raise WeightsError(
+            f"{path}: not the parameters of a classifier ({one_line(error)})"
+        ) from None
     units = arrays[0].shape[-1]
     shapes = [(len(WORDS), units), (units,), (units, len(Kind)), (len(Kind),)]
     if [a.shape for a in arrays] != shapes or not all(np.isfinite(a).all() for a in arrays):

@@ -81,6 +81,16 @@ def test_json_is_exact(cli: Run, hostile: Path) -> None:
     assert {row["planner"] for row in rows} == set(PLANNERS)
 
 
+def test_csv_is_exact_but_on_a_terminal(
+    cli: Run, hostile: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert "\x1b]0;pwned\x07" in cli("ls", hostile, "--format", "csv").out
+    monkeypatch.setattr("mapreplay.cli.output.sys.stdout.isatty", lambda: True, raising=False)
+    shown = cli("ls", hostile, "--format", "csv").out
+    assert only_text(shown)
+    assert r"\x1b]0;pwned\x07" in shown
+
+
 def test_figures_and_pages_of_them(cli: Run, hostile: Path, tmp_path: Path) -> None:
     page, plot, told = tmp_path / "c.html", tmp_path / "c.svg", tmp_path / "d.html"
     done = cli("compare", hostile, "--html", page, "--plot", plot)
