@@ -146,6 +146,8 @@ def _verify_foreign(log: EpisodeLog, shown: int) -> Verification:
     ending = _Ending(log)
     travelled, agent, unbroken = Travelled(), header.start, True
     for logged, messages in log.steps_with_messages():
+        if logged.index == 0 and logged.agent != header.start:
+            findings.add([Difference(0, Topic.POSE, "agent", None, logged.agent, header.start)])
         travelled = travelled.to(agent, logged.agent)
         agent = logged.agent
         unbroken = unbroken and logged.index == findings.steps

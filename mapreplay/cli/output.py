@@ -248,7 +248,11 @@ def _for_people(text: pl.DataFrame | Shown, *, wide: bool) -> str:
             shell_command(part.words)
             if isinstance(part, Command)
             else textwrap.fill(
-                printable(part), WIDTH, subsequent_indent="  ", break_on_hyphens=False
+                printable(part),
+                WIDTH,
+                subsequent_indent="  ",
+                break_on_hyphens=False,
+                break_long_words=False,
             )
         )
         blocks.append(line)

@@ -1,6 +1,7 @@
 """Logs of other simulators: little is needed, and every verb says what it can still do."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from drawing import draw, plan
 from mapreplay import EpisodeLog, EpisodeWriter, ForeignEpisode, unknown_floor_plan
 from mapreplay.analysis.verification import verify
 from mapreplay.errors import ConfigError, FloorPlanError, UsageError
+from mapreplay.grid import Cell
 from mapreplay.step import differences
 
 README = Path(__file__).parents[2] / "README.md"
@@ -229,3 +231,13 @@ def test_a_setting_of_numpy_is_one_of_python() -> None:
     ).header.config
     assert (config.seed, config.coverage) == (3, 0.5)
     assert type(config.seed) is int
+
+
+def test_a_first_pose_that_is_not_the_start_is_a_difference(tmp_path: Path) -> None:
+    episode = lab()
+    first = episode.step((1, 2), SEEN, outcome="mapped")
+    path = tmp_path / "lab.mcap"
+    with EpisodeWriter(path, replace(episode.header, start=Cell(1, 3))) as writer:
+        writer.write(first)
+    found = [d for d in verify(EpisodeLog(path)).differences if d.what == "agent"]
+    assert [(d.step, d.logged, d.expected) for d in found] == [(0, (1, 2), (1, 3))]

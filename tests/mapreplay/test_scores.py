@@ -1,6 +1,7 @@
 """Scores on maps whose counts a reader can check."""
 
 import math
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -127,3 +128,17 @@ def test_calibration_of_no_cell_is_nan() -> None:
     result = calibration(np.zeros((1, 1), np.uint8), draw("#"), np.zeros((1, 1), np.bool_))
     assert math.isnan(result.brier)
     assert math.isnan(result.log_loss)
+
+
+@given(st.integers(1, 5000), st.sampled_from(["0.98", "0.95", "0.9", "0.333", "1.0"]), st.data())
+def test_a_target_is_reached_exactly_where_the_counts_say_so(
+    cells: int, target: str, data: st.DataObject
+) -> None:
+    """A share is one division, rounded once, as the decimal of the target is."""
+    about = math.ceil(Fraction(target) * cells)
+    known = data.draw(st.integers(max(0, about - 1), min(cells, about + 1)))
+    truth = np.zeros((1, cells), np.int8)
+    said = np.full((1, cells), -1, np.int8)
+    said[0, :known] = 0
+    got = coverage(tally(said, truth, truth == 0))
+    assert (got.known >= float(target)) == (Fraction(known, cells) >= Fraction(target))
