@@ -53,6 +53,7 @@ from mapreplay.recorders.log.messages import (
     decode_truth,
     missing,
 )
+from mapreplay.recorders.log.parquet import UnknownParquetError
 from mapreplay.recorders.state import Condition, LogState, gaps_in, span_words
 from mapreplay.recorders.survey import StepMessages, Survey, steps_in, survey
 from mapreplay.step import OURS, EpisodeHeader, Outcome, Step
@@ -270,17 +271,41 @@ class EpisodeLog:
     def table(self) -> pl.DataFrame:
         """The scalars of all steps; see `mapreplay.recorders.log.step_table.table_of`.
 
-        Read from the attachment, or from the steps of a log that has none.
+        Read from the attachment if that agrees with the end of the log. An unfinished log, and one
+        whose table is not there or was written by another tool, is tabulated from its steps.
 
         Raises:
-            LogError: the file is damaged or can no longer be read.
+            LogError: the file is damaged or can no longer be read, or its table is not that of
+                its steps.
+        """
+        return self._table
+
+    def attached_table(self) -> pl.DataFrame | None:
+        """The table that is attached, compared with nothing; None without one that can be read, or
+        of other steps than there are.
+
+        Raises:
+            LogError: the file or the table is damaged.
         """
         offset = self._index.attachments.get(table.ATTACHMENT)
         if offset is None or not self._has_table:
-            return table.table_of([table.row_of(step) for step in self.steps()])
+            return None
         with self._reading() as file:
             body = read_record(file, offset, Opcode.ATTACHMENT)
-            return table.from_parquet(read_attachment(body).data, rows=len(self))
+            try:
+                return table.from_parquet(read_attachment(body).data, rows=len(self))
+            except UnknownParquetError:
+                return None
+
+    @cached_property
+    def _table(self) -> pl.DataFrame:
+        attached = self.attached_table()
+        if attached is None or self.summary is None:
+            return table.table_of([table.row_of(step) for step in self.steps()])
+        last = self[-1]
+        with self._reading():
+            table.check_end(attached, last, self.summary, self.header.config)
+        return attached
 
     @property
     def _has_table(self) -> bool:

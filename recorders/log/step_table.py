@@ -7,12 +7,17 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final, TypeAlias
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
+import numpy as np
+import numpy.typing as npt
+
+from mapreplay.config import EpisodeConfig
+from mapreplay.recorders.log.header import EpisodeSummary
 from mapreplay.recorders.log.limits import MAX_ROW_BYTES, TABLE_BYTES
-from mapreplay.recorders.log.parquet import check_pages
-from mapreplay.step import Step, StepMetrics
+from mapreplay.recorders.log.parquet import Column, Kind, read_columns
+from mapreplay.step import Mode, Step, StepMetrics
 
 if TYPE_CHECKING:
     import polars as pl
@@ -33,6 +38,25 @@ def row_of(step: Step) -> Row:
     return (step.index, *step.agent, str(step.mode), *target, *reals)
 
 
+_KINDS: Final = {
+    "step": Kind.INT32,
+    "row": Kind.INT32,
+    "col": Kind.INT32,
+    "mode": Kind.TEXT,
+    "target_row": Kind.INT32,
+    "target_col": Kind.INT32,
+    "utility": Kind.FLOAT64,
+} | dict.fromkeys(StepMetrics.names(), Kind.FLOAT64)
+"""What is in each column."""
+
+
+def _schema() -> dict[str, type[pl.DataType]]:
+    import polars as pl
+
+    dtypes = {Kind.INT32: pl.Int32, Kind.FLOAT64: pl.Float64, Kind.TEXT: pl.String}
+    return {name: dtypes[kind] for name, kind in _KINDS.items()}
+
+
 def table_of(rows: Sequence[Row]) -> pl.DataFrame:
     """One row a step: step, row, col, mode, target_row, target_col, utility, all metrics.
 
@@ -41,16 +65,7 @@ def table_of(rows: Sequence[Row]) -> pl.DataFrame:
     """
     import polars as pl
 
-    schema = {
-        "step": pl.Int32,
-        "row": pl.Int32,
-        "col": pl.Int32,
-        "mode": pl.String,
-        "target_row": pl.Int32,
-        "target_col": pl.Int32,
-        "utility": pl.Float64,
-    } | dict.fromkeys(StepMetrics.names(), pl.Float64)
-    return pl.DataFrame(rows, schema=schema, orient="row")
+    return pl.DataFrame(rows, schema=_schema(), orient="row")
 
 
 def to_parquet(table: pl.DataFrame) -> bytes:
@@ -64,16 +79,70 @@ def from_parquet(data: bytes, rows: int) -> pl.DataFrame:
     """The inverse of `to_parquet`, for a table of `rows` rows.
 
     Raises:
-        ValueError, LookupError, TypeError: the bytes are not a Parquet file of that many rows
-            with our columns, or unpack to more than those need.
+        UnknownParquetError: the bytes may be a Parquet file, but not one of `to_parquet`.
+        ValueError: they are damaged, have another number of rows or values that no step has, or
+            unpack to more than those need.
     """
     import polars as pl
 
-    check_pages(data, rows, TABLE_BYTES + rows * MAX_ROW_BYTES)
-    try:
-        table = pl.read_parquet(io.BytesIO(data))
-    except pl.exceptions.PolarsError as error:
-        raise ValueError(f"{ATTACHMENT}: {error}") from None
-    if table.schema != table_of([]).schema:
-        raise ValueError(f"{ATTACHMENT} has other columns than a table of steps")
-    return table
+    columns = read_columns(data, _KINDS, rows, TABLE_BYTES + rows * MAX_ROW_BYTES)
+    _check(columns, rows)
+    schema = _schema()
+    return pl.DataFrame(
+        [pl.Series(name, _items(column), schema[name]) for name, column in columns.items()]
+    )
+
+
+def check_end(
+    table: pl.DataFrame, last: Step, summary: EpisodeSummary, config: EpisodeConfig
+) -> None:
+    """Whether a table of all steps ends as the log does.
+
+    Args:
+        table: See `table_of`; not empty.
+        last: The last step.
+        summary: How the episode ended, as the log says it.
+        config: The episode's.
+
+    Raises:
+        ValueError: it does not, so that it is the table of another log, or was changed.
+    """
+    if table.row(-1) != row_of(last):
+        raise ValueError(f"{ATTACHMENT} has another last step than the log")
+    built = config.build.value
+    told = {
+        "mapping time": (summary.mapping_time, f"coverage_{built}", config.coverage),
+        "correct time": (
+            summary.correct_time, f"correct_coverage_{built}", config.correct_coverage,
+        ),
+    }  # fmt: skip
+    for what, (time, column, target) in told.items():
+        reached = np.flatnonzero(table[column].to_numpy() >= target)
+        if (int(reached[0]) if len(reached) else None) != time:
+            raise ValueError(f"{ATTACHMENT} has another {what} than the log")
+
+
+def _items(column: Column) -> npt.NDArray[Any] | list[Any]:
+    """The values with None where there is none, in a form that is quick to make a Series of."""
+    values, present = column
+    if values.dtype != object and present.all():
+        return values
+    return [x if there else None for x, there in zip(values.tolist(), present, strict=True)]
+
+
+def _check(columns: Mapping[str, Column], rows: int) -> None:
+    """Whether the rows are those of steps at all.
+
+    Raises:
+        ValueError: they are not.
+    """
+    for name in ("step", "row", "col", "mode"):
+        if not columns[name].present.all():
+            raise ValueError(f"{ATTACHMENT} has a step without {name}")
+    if not np.array_equal(columns["step"].values, np.arange(rows)):
+        raise ValueError(f"{ATTACHMENT} has not every step in order")
+    if not set(columns["mode"].values.tolist()) <= set(Mode):
+        raise ValueError(f"{ATTACHMENT} has a step of an unknown mode")
+    for name, kind in _KINDS.items():
+        if kind is Kind.FLOAT64 and np.isnan(columns[name].values).any():
+            raise ValueError(f"{ATTACHMENT} has a {name} that is no number")

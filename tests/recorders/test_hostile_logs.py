@@ -402,7 +402,8 @@ def test_a_table_that_is_not_ours_is_refused(small: Recorded, tmp_path: Path) ->
     path.write_bytes(with_table(small, parquet(honest)))
     assert read_all(path).table().equals(honest)
     refused(path, with_table(small, parquet(honest.head(3))), "does not have 9 rows")
-    refused(path, with_table(small, parquet(honest.drop("f1"))), "other columns")
+    path.write_bytes(with_table(small, parquet(honest.drop("f1"))))
+    assert read_all(path).table().equals(honest)  # from the steps
     for content in (b"", b"PAR1", b"PAR1" + bytes(100) + b"PAR1", b"x" * 1000):
         refused(path, with_table(small, content), "damaged")
     whole = bytearray(parquet(honest))
