@@ -21,6 +21,11 @@ WORTH_A_PROCESS: Final = 16
 class WorkerError(MapreplayError):
     """A process of a pool ended in the middle of its work."""
 
+    def __init__(self, line: str = "") -> None:
+        super().__init__(
+            line or "a worker process died, perhaps for want of memory; try again with --jobs 1"
+        )
+
 
 def default_jobs(pieces: int) -> int:
     """As many processes as there are cores, and work for them."""

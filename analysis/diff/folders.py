@@ -11,8 +11,9 @@ import polars as pl
 
 from mapreplay.analysis.diff.divergence import Layer, find_partings
 from mapreplay.analysis.episodes.corpus import LoggedEpisode
-from mapreplay.analysis.pool import map_unordered
+from mapreplay.analysis.pool import WorkerError, map_unordered
 from mapreplay.errors import MapreplayError
+from mapreplay.recorders.blame import UnforeseenError, blaming
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.text import printable
 
@@ -50,15 +51,18 @@ def diff_pairs(
     pairs: Sequence[tuple[LoggedEpisode, LoggedEpisode]], jobs: int = 1
 ) -> Iterator[PairDiff | MapreplayError]:
     """Compare each pair; results come as they are done, errors of reading among them."""
-    return map_unordered(
-        _diff, pairs, jobs, lost=lambda _, error: error, name=lambda pair: str(pair[0].path)
-    )
+    return map_unordered(_diff, pairs, jobs, lost=_lost)
+
+
+def _lost(pair: tuple[LoggedEpisode, LoggedEpisode], error: WorkerError) -> MapreplayError:
+    return UnforeseenError(f"{pair[0].path} and {pair[1].path}: {error}")
 
 
 def _diff(pair: tuple[LoggedEpisode, LoggedEpisode]) -> PairDiff | MapreplayError:
     a, b = pair
     try:
-        partings = find_partings(EpisodeLog(a.path), EpisodeLog(b.path))
+        with blaming(a.path, b.path):
+            partings = find_partings(EpisodeLog(a.path), EpisodeLog(b.path))
     except MapreplayError as error:
         return error
     first, move = partings.layer, partings.first.get(Layer.MOVE)

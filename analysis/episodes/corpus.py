@@ -16,9 +16,10 @@ import numpy.typing as npt
 
 from mapreplay.analysis.episodes.curves import Curve
 from mapreplay.analysis.episodes.summary import EpisodeRow, summarize
-from mapreplay.analysis.pool import map_unordered
+from mapreplay.analysis.pool import WorkerError, map_unordered
 from mapreplay.config import MapKind
 from mapreplay.errors import MapreplayError
+from mapreplay.recorders.blame import UnforeseenError, blaming
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.state import LogState, by_step
 from mapreplay.step import EpisodeHeader, Mode
@@ -112,14 +113,19 @@ class Unreadable:
 
 def read_corpus(paths: Sequence[Path], jobs: int = 1) -> Iterator[LoggedEpisode | Unreadable]:
     """`read_episode` of every path, as they are done; what cannot be read is a result, too."""
-    return map_unordered(_read, paths, jobs, lost=Unreadable, name=str)
+    return map_unordered(_read, paths, jobs, lost=_lost)
 
 
 def _read(path: Path) -> LoggedEpisode | Unreadable:
     try:
-        return read_episode(path)
+        with blaming(path):
+            return read_episode(path)
     except MapreplayError as error:
         return Unreadable(path, error)
+
+
+def _lost(path: Path, error: WorkerError) -> Unreadable:
+    return Unreadable(path, UnforeseenError(f"{path}: {error}"))
 
 
 Pairs: TypeAlias = list[tuple[LoggedEpisode, LoggedEpisode]]

@@ -2,30 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-import os
-import tempfile
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
-from pathlib import Path
 from typing import Final
 
-from mapreplay.analysis.user_cache import cache_folder, code_digest
+from mapreplay.analysis.cache import key_of, user_cache
 
-_CODE: Final = {
-    "mapreplay": ("floorplan.py", "kernels.py", "mapping.py", "sensor.py"),
-    "mapreplay.analysis.limits": (
-        "bound.py",
-        "bound_kernels.py",
-        "kernels.py",
-        "predicted.py",
-        "task.py",
-        "tour.py",
-    ),
-}
-"""What the numbers depend on beside the key."""
+_DIGITS: Final = 20
+"""That a number of moves never has."""
 
 
 def remembered(key: tuple[object, ...], compute: Callable[[], int]) -> int:
@@ -33,20 +17,11 @@ def remembered(key: tuple[object, ...], compute: Callable[[], int]) -> int:
 
     The key is anything that its repr tells apart. A cache that cannot be written does not matter.
     """
-    digest = hashlib.sha256(_code_digest() + repr(key).encode()).hexdigest()
-    path = cache_folder("limits") / digest[:2] / f"{digest}.json"
-    with suppress(OSError, ValueError, KeyError, TypeError):
-        return int(json.loads(path.read_text(encoding="utf-8"))["moves"])
+    kept, digest = user_cache("limits"), key_of("limits", repr(key))
+    content = kept.get(digest) or b""
+    if content.isdigit() and len(content) < _DIGITS:
+        return int(content)
     moves = compute()
     with suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, part = tempfile.mkstemp(dir=path.parent, suffix=".part")
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            json.dump({"moves": moves}, file)
-        Path(part).replace(path)
+        kept.put(digest, str(moves).encode())
     return moves
-
-
-@cache
-def _code_digest() -> bytes:
-    return code_digest(_CODE)

@@ -1,61 +1,45 @@
-"""Measured episodes on disk: tables that are larger than memory, and a cache of them.
+"""Tables of measured episodes, kept by what they are of.
 
-A stored table is found again by what it is made of: the bytes of the log, the scope, and the
-code that measures. So a log that was moved or copied is still known, one that changed in a
-single bit is not, and no clock or name of a file is trusted.
+They are found again by the bytes of the log, the scope, and the code that measures. So a log that
+was moved or copied is still known, and one that changed in a single bit is not.
 """
 
 from __future__ import annotations
 
-import hashlib
+import io
 import json
-import os
+import struct
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Final
 
 import polars as pl
 
+from mapreplay.analysis.cache import Cache, key_of
 from mapreplay.analysis.metrics.measure import Scope
-from mapreplay.analysis.user_cache import code_digest
 from mapreplay.errors import LogError
 
-MAX_BYTES: Final = 1 << 30
-"""Of a cache; beyond, what was not used for longest is removed."""
-_BLOCK: Final = 1 << 20
-_CODE: Final = {
-    "mapreplay": ("episode.py", "floorplan.py", "kernels.py", "mapping.py", "scores.py"),
-    "mapreplay.analysis.episodes": ("curves.py", "summary.py"),
-    "mapreplay.analysis.metrics": (
-        "calibration.py",
-        "per_episode.py",
-        "kernels.py",
-        "measure.py",
-    ),
-    "mapreplay.recorders.log": ("mcap/reader.py", "messages.py", "reader.py", "step_table.py"),
-}
-"""What the numbers depend on beside the log."""
+_SIZE: Final = struct.Struct("<Q")
 
 
-@dataclass(frozen=True)
-class Stored:
-    """Where the tables of a measured episode are."""
+@dataclass(frozen=True, eq=False)
+class Tables:
+    """What was measured of an episode."""
 
-    steps: Path
-    """Parquet, one row a step."""
-    episode: Path
-    """Parquet, one row."""
+    steps: pl.DataFrame
+    """One row a step."""
+    episode: pl.DataFrame
+    """One row, see `mapreplay.analysis.metrics.per_episode.episode_metrics`."""
 
 
 @dataclass(frozen=True)
 class Store:
-    """A folder of measured episodes."""
+    """A cache of measured episodes."""
 
-    folder: Path
+    cache: Cache
 
     def key(self, log: Path, scope: Scope) -> str:
         """What the tables of `log` are found by.
@@ -63,73 +47,47 @@ class Store:
         Raises:
             LogError: the log cannot be read.
         """
-        digest = hashlib.sha256(_code_digest())
-        digest.update(json.dumps([scope.unknown_as.value, scope.everywhere]).encode())
+        asked = json.dumps([scope.unknown_as.value, scope.everywhere])
         try:
-            with log.open("rb") as file:
-                while block := file.read(_BLOCK):
-                    digest.update(block)
+            return key_of("metrics", asked, log)
         except OSError as error:
             raise LogError(f"{log}: cannot be read ({error.strerror or error})") from None
-        return digest.hexdigest()
 
-    def find(self, key: str) -> Stored | None:
-        """The tables, if they are there and can be read."""
-        stored = self._place(key)
-        try:
-            for path in (stored.steps, stored.episode):
-                pl.read_parquet_schema(path)
-                os.utime(path)  # used just now
-        except (OSError, pl.exceptions.PolarsError):
+    def find(self, key: str) -> Tables | None:
+        """The tables, if they are there and whole."""
+        content = self.cache.get(key)
+        if content is None:
             return None
-        return stored
+        try:
+            (size,) = _SIZE.unpack_from(content)
+            steps, episode = content[_SIZE.size :][:size], content[_SIZE.size + size :]
+            return Tables(pl.read_parquet(io.BytesIO(steps)), pl.read_parquet(io.BytesIO(episode)))
+        except (OSError, pl.exceptions.PolarsError, struct.error):
+            return None
 
-    def keep(self, key: str, steps: pl.DataFrame, episode: pl.DataFrame) -> Stored:
-        """Write the tables; whoever reads meanwhile finds the old ones or the new ones, whole.
+    def keep(self, key: str, tables: Tables) -> None:
+        """Write the tables.
 
         Raises:
             OSError: they cannot be written.
         """
-        stored = self._place(key)
-        stored.steps.parent.mkdir(parents=True, exist_ok=True)
-        for frame, path in ((steps, stored.steps), (episode, stored.episode)):
-            handle, part = tempfile.mkstemp(dir=path.parent, suffix=".part")
-            os.close(handle)
-            try:
-                frame.write_parquet(part, compression="zstd", compression_level=1)
-                Path(part).replace(path)
-            finally:
-                with suppress(OSError):  # it has become the table
-                    Path(part).unlink()
-        return stored
-
-    def trim(self, limit: int = MAX_BYTES) -> None:
-        """Remove what was not used for longest, until at most `limit` bytes are left."""
-        files = []
-        for path in self.folder.glob("*/*"):
-            with suppress(OSError):  # another process was here first
-                stat = path.stat()
-                files.append((stat.st_mtime_ns, stat.st_size, path))
-        total = sum(size for _, size, _ in files)
-        for _, size, path in sorted(files):
-            if total <= limit:
-                return
-            with suppress(OSError):
-                path.unlink()
-                total -= size
-
-    def _place(self, key: str) -> Stored:
-        folder = self.folder / key[:2]
-        return Stored(folder / f"{key}.steps.parquet", folder / f"{key}.episode.parquet")
+        steps, episode = _packed(tables.steps), _packed(tables.episode)
+        self.cache.put(key, _SIZE.pack(len(steps)) + steps + episode)
 
 
 @contextmanager
 def temporary_store() -> Iterator[Store]:
-    """A store that is gone afterwards."""
-    with tempfile.TemporaryDirectory(prefix="mapreplay-") as folder:
-        yield Store(Path(folder))
+    """A store that is gone afterwards; where there is no place for one, nothing is kept."""
+    try:
+        folder = tempfile.TemporaryDirectory(prefix="mapreplay-", ignore_cleanup_errors=True)
+    except OSError:
+        yield Store(Cache(None))
+        return
+    with folder as name:
+        yield Store(Cache(Path(name)))
 
 
-@cache
-def _code_digest() -> bytes:
-    return code_digest(_CODE)
+def _packed(frame: pl.DataFrame) -> bytes:
+    file = io.BytesIO()
+    frame.write_parquet(file, compression="zstd", compression_level=1)
+    return file.getvalue()

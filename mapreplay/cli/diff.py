@@ -34,8 +34,6 @@ SHOWN: Final = 3
 """Episodes without a partner that are named."""
 
 _Lines: TypeAlias = "list[str | Command | pl.DataFrame]"
-_Result: TypeAlias = "tuple[pl.DataFrame, _Lines, bool]"
-"""The whole table, what people see of it, and whether the two sides differ."""
 
 Side = Annotated[Path, typer.Argument(help="A log, or a folder or glob of logs.")]
 
@@ -63,7 +61,8 @@ def diff(
             frame, text, differ = _two(of_a[0], of_b[0])
             kind = "mapreplay.diff/1"
         else:
-            frame, text, differ = _many(of_a, of_b)
+            frame, text, differ, lost = _many(of_a, of_b)
+            lost_a += lost
             kind = "mapreplay.diff.pairs/1"
     except UsageError:
         raise
@@ -142,7 +141,12 @@ def _times(times: tuple[Both, ...]) -> pl.DataFrame:
     ).with_columns(pl.col(pl.Float64).fill_nan(None).cast(pl.Int64))
 
 
-def _many(of_a: list[LoggedEpisode], of_b: list[LoggedEpisode]) -> _Result:
+def _many(
+    of_a: list[LoggedEpisode], of_b: list[LoggedEpisode]
+) -> tuple[pl.DataFrame, _Lines, bool, int]:
+    """The whole table, what people see of it, whether the two sides differ, and how many pairs
+    could not be compared; each of those is named on stderr.
+    """
     import polars as pl
 
     from mapreplay.analysis.diff.folders import diff_pairs, pairs_frame, view_command
@@ -157,12 +161,18 @@ def _many(of_a: list[LoggedEpisode], of_b: list[LoggedEpisode]) -> _Result:
     if not pairs:
         raise MapreplayError("no two episodes have floor plan, start and seed in common")
     results: list[PairDiff] = []
+    failed: list[MapreplayError] = []
     with progress_bar() as bar:
         compared = diff_pairs(pairs, default_jobs(len(pairs)))
         for result in bar.track(compared, len(pairs), description="pairs"):
             if isinstance(result, MapreplayError):
-                raise result
-            results.append(result)
+                failed.append(result)
+            else:
+                results.append(result)
+    if not results:
+        raise failed[0]
+    for error in failed:
+        note(f"not compared: {error}")
     frame = pairs_frame(results)
     same = int(frame["identical"].sum())
     shown: _Lines = [
@@ -190,7 +200,8 @@ def _many(of_a: list[LoggedEpisode], of_b: list[LoggedEpisode]) -> _Result:
     if top["step"] is not None:
         step = top["step"] if top["move_step"] is None else top["move_step"]
         shown += ["See the first:", Command(view_command(top["file_a"], top["file_b"], step))]
-    return frame, shown, same < len(frame) or bool(pairing.only_a or pairing.only_b)
+    differ = same < len(frame) or bool(pairing.only_a or pairing.only_b)
+    return frame, shown, differ, len(failed)
 
 
 def _tell(pairing: Pairing) -> None:

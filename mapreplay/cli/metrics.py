@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 STEP_COLUMNS: Final = ("step", "coverage_observed", "coverage_fused", "correct_coverage_fused",
                        "f1", "iou", "ece_unobserved", "auroc_unobserved")  # fmt: skip
+SHOWN: Final = 3
+"""Copies of logs that are named."""
 SHORT: Final = {
     "coverage_observed": "observed",
     "coverage_fused": "fused",
@@ -102,6 +104,7 @@ def metrics(
     further = metric or []
     with _store(no_cache=no_cache or bool(further)) as store:
         measured, lost = _measure(logs, store, scope, further, jobs)
+        _tell_lost_results(store, measured)
         import polars as pl
 
         episodes = pl.concat([log.episode() for log in measured])
@@ -118,7 +121,7 @@ def metrics(
     if not where:  # otherwise it was said when they were chosen
         tell_same([log.log for log in measured])
         lost += tell_states({log.log: log.state for log in measured})
-    _tell(episodes, scope, _known(measured))
+    _tell(episodes, scope, 0 if no_cache or further else _known_before(measured))
     if unreadable or lost:
         raise typer.Exit(LOST)
 
@@ -126,23 +129,28 @@ def metrics(
 @contextmanager
 def _store(*, no_cache: bool) -> Iterator[Store]:
     """The cache, or where nothing is kept."""
+    from mapreplay.analysis.cache import user_cache
     from mapreplay.analysis.metrics.store import Store, temporary_store
-    from mapreplay.analysis.user_cache import cache_folder
 
-    if no_cache:
+    kept = user_cache("metrics")
+    problem = None if no_cache else kept.problem()
+    if problem is not None:
+        note(problem)
+    if no_cache or problem is not None:
         with temporary_store() as store:
             yield store
         return
-    store = Store(cache_folder("metrics"))
-    try:
-        store.folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        note(f"{store.folder}: cannot be written ({error.strerror}); nothing is kept")
-        with temporary_store() as store:
-            yield store
-        return
-    yield store
-    store.trim()
+    yield Store(kept)
+    kept.trim()
+
+
+def _tell_lost_results(store: Store, measured: list[MeasuredLog]) -> None:
+    """That the disk became full, say; nobody expects to find what a temporary store has."""
+    from mapreplay.analysis.cache import user_cache
+
+    lost = sum(not log.kept for log in measured)
+    if lost and store.cache == user_cache("metrics"):
+        note(f"{store.cache.folder}: cannot be written; {lost} results are not kept")
 
 
 def _measure(
@@ -170,10 +178,12 @@ def _measure(
     return sorted(measured, key=lambda result: result.log), len(lost)
 
 
-def _known(measured: Sequence[MeasuredLog]) -> int:
-    """How many were measured by an earlier command; one of two that are the same file was not."""
-    here = {result.stored.steps for result in measured if not result.known}
-    return sum(result.known and result.stored.steps not in here for result in measured)
+def _known_before(measured: Sequence[MeasuredLog]) -> int:
+    """Logs whose tables were there before this run: of copies the first may have been measured."""
+    groups: dict[str, list[MeasuredLog]] = {}
+    for log in measured:
+        groups.setdefault(log.key, []).append(log)
+    return sum(len(same) for same in groups.values() if all(log.known for log in same))
 
 
 def _brief(episodes: pl.DataFrame, further: list[str]) -> pl.DataFrame:

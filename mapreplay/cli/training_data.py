@@ -13,6 +13,7 @@ from mapreplay.cli.output import note
 from mapreplay.cli.progress import progress_bar
 from mapreplay.errors import FloorPlanError, LogError
 from mapreplay.floorplans import FloorPlanSource
+from mapreplay.recorders.blame import blaming
 from mapreplay.recorders.log.find import find_logs
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.sampled import observed_maps
@@ -102,8 +103,9 @@ def _load(
 def _logged(numbered: tuple[int, Path]) -> tuple[str, TrainingPlan] | LogError:
     number, path = numbered
     try:
-        log = EpisodeLog(path)
-        plan, start = log.header.floor_plan, log.header.start
-        return plan.id, prepare_plan(number, plan, start, observed_maps(log, MAPS_PER_LOG))
+        with blaming(path):
+            log = EpisodeLog(path)
+            plan, start = log.header.floor_plan, log.header.start
+            return plan.id, prepare_plan(number, plan, start, observed_maps(log, MAPS_PER_LOG))
     except LogError as error:
         return error

@@ -57,6 +57,7 @@ def verify(
     if predictor and not rerun and rerun_from is None:
         raise UsageError("verify: --predictor is for --rerun and --rerun-from")
     from mapreplay.analysis.episodes.summary import Condition, summarize
+    from mapreplay.recorders.blame import blaming
     from mapreplay.recorders.log.find import find_logs
     from mapreplay.recorders.log.reader import EpisodeLog
 
@@ -67,12 +68,13 @@ def verify(
     states: dict[Path, LogState] = {}
     for path in find_logs(paths):
         try:
-            log = EpisodeLog(path)
-            if conditions:
-                row = summarize(log, printable(str(path)))
-                if not all(condition.holds(row) for condition in conditions):
-                    continue
-            results[printable(str(log.path))] = check(log)
+            with blaming(path):
+                log = EpisodeLog(path)
+                if conditions:
+                    row = summarize(log, printable(str(path)))
+                    if not all(condition.holds(row) for condition in conditions):
+                        continue
+                results[printable(str(log.path))] = check(log)
         except PluginError as error:  # what the log names is not here
             problems.append(f"{path}: {error}")
             continue
