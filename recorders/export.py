@@ -16,6 +16,7 @@ from mapreplay.files import check_new, make_folder, whole_path, write_whole
 from mapreplay.grid import FREE, OCCUPIED, Grid, Quantized
 from mapreplay.mapping import dequantize
 from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.sensor import Hits
 from mapreplay.step import StepMetrics
 
 UNKNOWN_GREY: Final = 160
@@ -34,7 +35,8 @@ def export_arrays(log: EpisodeLog, path: Path, *, force: bool = False) -> None:
     observed, fused: int8[n, H, W]; p_wall: uint8, uint16 or float32[m, H, W] of the m steps
     in p_wall_step, both only if there was a prediction; truth: int8[H, W]; explorable:
     bool[H, W]; agent, target: int32[n, 2] (row, col), the target -1 where there is none;
-    hits: int16[n, rays] (int16[n, 0] without scans); and a float64[n] for each of
+    hits: int16[n, rays], -1 at steps without a scan (int16[n, 0] without any); and a float64[n]
+    for each of
     `StepMetrics`, NaN where undefined. The log is read once for each kind of map, so that
     memory stays bounded.
 
@@ -49,6 +51,15 @@ def export_arrays(log: EpisodeLog, path: Path, *, force: bool = False) -> None:
         _add_arrays(archive, log)
 
 
+def _stacked(hits: list[Hits]) -> Array:
+    """int16[n, rays]: the hits of all steps, -1 where there was no scan."""
+    rays = max((len(of_step) for of_step in hits), default=0)
+    stack = np.full((len(hits), rays), -1, np.int16)
+    for row, of_step in zip(stack, hits, strict=True):
+        row[: len(of_step)] = of_step
+    return stack
+
+
 def _add_arrays(archive: zipfile.ZipFile, log: EpisodeLog) -> None:
     agents, targets, hits, metrics, predicted = [], [], [], [], []
     prediction_dtype: np.dtype[Any] | None = None
@@ -58,6 +69,10 @@ def _add_arrays(archive: zipfile.ZipFile, log: EpisodeLog) -> None:
         hits.append(step.hits)
         metrics.append([getattr(step.metrics, name) for name in StepMetrics.names()])
         if step.p_wall is not None:
+            if prediction_dtype not in (None, step.p_wall.dtype):
+                raise LogError(
+                    f"{log.path}: step {step.index}: its prediction is of another type than before"
+                )
             predicted.append(step.index)
             prediction_dtype = step.p_wall.dtype
     count, shape = len(agents), log.header.floor_plan.shape
@@ -66,7 +81,7 @@ def _add_arrays(archive: zipfile.ZipFile, log: EpisodeLog) -> None:
         "explorable": log.header.explorable,
         "agent": np.array(agents, np.int32).reshape(count, 2),
         "target": np.array(targets, np.int32).reshape(count, 2),
-        "hits": np.array(hits, np.int16),
+        "hits": _stacked(hits),
     }
     columns = np.array(metrics, np.float64).reshape(count, len(StepMetrics.names()))
     arrays |= dict(zip(StepMetrics.names(), columns.T, strict=True))

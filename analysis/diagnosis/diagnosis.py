@@ -33,7 +33,7 @@ from mapreplay.analysis.diagnosis.remedy import (
     threshold_of_walls,
 )
 from mapreplay.config import MapKind
-from mapreplay.errors import PluginError
+from mapreplay.errors import LogError, PluginError
 from mapreplay.grid import Cell
 from mapreplay.planners import Planner, planner_of
 from mapreplay.recorders.log.reader import EpisodeLog, MapName
@@ -179,6 +179,13 @@ def _explain(
         wanted = [(spans[i].first.index, c.cells) for i in traced if (c := found[i]) is not None]
         for i, chain in zip(traced, trace_blame(maps, wanted, log.indices), strict=True):
             chains[i] = chain
+            for blame in chain:
+                if np.isnan(blame.p_wall):
+                    step, (row, col) = spans[i].first.index, blame.cell
+                    raise LogError(
+                        f"{log.path}: step {step}: the fused map has a wall at ({row}, {col}) that "
+                        "was neither observed nor predicted, so why it is there cannot be told"
+                    )
     planner = _planner(log, notes)
     return tuple(
         _sealing(log, span, culprits, chain, planner, scratch)

@@ -9,6 +9,7 @@ lost (see `mapreplay.recorders.log.recover`).
 from __future__ import annotations
 
 import json
+import math
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ from mapreplay.config import EpisodeConfig, describe
 from mapreplay.errors import LogError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.grid import Cell
-from mapreplay.recorders.log.limits import MAX_STEPS
+from mapreplay.recorders.log.limits import MAX_BUDGET, MAX_STEPS
 from mapreplay.step import OURS, Branch, EpisodeHeader, Outcome, PredictorIdentity, Step
 
 FORMAT_VERSION: Final = 1
@@ -133,11 +134,14 @@ def header_of(pairs: Pairs, floor_plan: FloorPlan) -> EpisodeHeader:
     if floor_plan.sha256 != pairs["floor_plan_sha256"]:
         raise ValueError("the true map is not the one that the metadata names")
     row, col = json.loads(pairs["start"])
+    max_steps = int(pairs["max_steps"])
+    if not 1 <= max_steps <= MAX_BUDGET:
+        raise ValueError(f"a budget of {max_steps} steps; 1 to {MAX_BUDGET} are allowed")
     return EpisodeHeader(
         config=config,
         floor_plan=floor_plan,
         start=floor_plan.check_start(Cell(row, col)),
-        max_steps=int(pairs["max_steps"]),
+        max_steps=max_steps,
         predictor=PredictorIdentity(pairs["predictor"], pairs["predictor_sha256"]),
         versions=tuple(json.loads(pairs["versions"]).items()),
         simulator=pairs.get("simulator", OURS),
@@ -201,13 +205,25 @@ def summary_of(pairs: Pairs) -> EpisodeSummary:
     steps = int(pairs["steps"])
     if not 0 <= steps < MAX_STEPS:
         raise ValueError(f"{steps} steps; at most {MAX_STEPS} are allowed")
+    path_length = float(pairs["path_length"])
+    if not 0 <= path_length < math.inf:
+        raise ValueError(f"a path of {path_length} m")
     return EpisodeSummary(
         outcome=Outcome(pairs["outcome"]) if pairs["outcome"] else None,
         steps=steps,
-        mapping_time=int(pairs["mapping_time"]) if pairs["mapping_time"] else None,
-        correct_time=int(pairs["correct_time"]) if pairs["correct_time"] else None,
-        path_length=float(pairs["path_length"]),
+        mapping_time=_time(pairs["mapping_time"], steps),
+        correct_time=_time(pairs["correct_time"], steps),
+        path_length=path_length,
     )
+
+
+def _time(text: str, steps: int) -> int | None:
+    if not text:
+        return None
+    time = int(text)
+    if not 0 <= time <= steps:
+        raise ValueError(f"step {time} of {steps}")
+    return time
 
 
 def _crc(pairs: Pairs) -> str:

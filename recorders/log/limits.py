@@ -38,6 +38,9 @@ MAX_NAMES: Final = 1000
 MAX_STEPS: Final = 2_000_000
 """Of an episode; the writer refuses more."""
 
+MAX_BUDGET: Final = 100_000_000
+"""Steps that an episode might have taken: more than 4 for each cell of the largest map."""
+
 MAX_ROW_BYTES: Final = 512
 """Of a row of the table of steps, unpacked; ours have some 250. With `TABLE_BYTES` and
 `MAX_STEPS` that is 1 GB for the longest log."""

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from mapreplay.errors import LogError
 from mapreplay.floorplan import FloorPlan
-from mapreplay.grid import UNKNOWN, Cell, Grid, Origin, Quantized
+from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid, Origin, Quantized, check_grid
 from mapreplay.mapping import dequantize
 from mapreplay.recorders.log import cdr
 from mapreplay.recorders.log.limits import MAX_STEPS, check_count
@@ -120,11 +120,14 @@ def decode_truth(data: cdr.Buffer, plan_id: str, resolution: float) -> FloorPlan
 
     Raises:
         FloorPlanError: the cells, the resolution or the id make no floor plan.
+        LogError: its cells cannot be told from their metres.
         ValueError, struct.error: the bytes are not an OccupancyGrid.
     """
     info, cells = cdr.unpack_grid(data)
     has_truth = bool((cells != UNKNOWN).any())
-    return FloorPlan(plan_id, cells, resolution, Origin(info.x, info.y), has_truth)
+    plan = FloorPlan(plan_id, cells, resolution, Origin(info.x, info.y), has_truth)
+    check_geometry(plan)
+    return plan
 
 
 def encode_step(step: Step, header: EpisodeHeader) -> Iterator[Encoded]:
@@ -158,26 +161,37 @@ def encode_step(step: Step, header: EpisodeHeader) -> Iterator[Encoded]:
 def decode_step(messages: Messages, index: int, header: EpisodeHeader) -> Step:
     """The inverse of `encode_step`.
 
-    Arrays own their memory. Topics that are not ours are ignored.
+    Arrays own their memory. Topics that are not ours are ignored. Whatever a log says, the step
+    is one that all else can work with: cells lie in the map, maps have no other values than they
+    may have, probabilities are some, paths have a move, and no number is absurd. Whether it is
+    true is for `mapreplay.analysis.verification` to say.
 
     Raises:
         LogError: a message is missing.
         ValueError, struct.error: a message is not what its topic says, or does not fit the
             floor plan.
     """
+    try:
+        return _decode_step(messages, index, header)
+    except ValueError as error:
+        raise ValueError(f"step {index}: {error}") from None
+
+
+def _decode_step(messages: Messages, index: int, header: EpisodeHeader) -> Step:
     plan = header.floor_plan
     x, y = cdr.unpack_pose(_message(messages, Topic.POSE))
     row, col = _cells_in(np.array([[x, y, 0.0]]), plan)[0].tolist()
     hits = np.empty(0, np.int16)
     if Topic.SCAN in messages:
         metres = cdr.unpack_ranges(messages[Topic.SCAN][0])
-        hits = hits_from_ranges(metres, header.sensor, plan.resolution)
-    outcome, scores = decode_metrics(messages)
+        hits = _hits(metres, header.sensor, plan.resolution)
+    outcome, metrics = decode_metrics(messages)
+    check_scores(np.array(_scores_of(metrics))[:, None], index, plan)
     decision = profile = None
     if Topic.DECISION in messages:
         path = cdr.unpack_path(_message(messages, Topic.PLAN))
         choice = cdr.unpack_decision(messages[Topic.DECISION][0])
-        decision = _decision(choice, _cells_in(path, plan))
+        decision = _decision(choice, _cells_in(path, plan), plan)
     if Topic.PROFILE in messages:
         profile = StepProfile(*cdr.unpack_profile(messages[Topic.PROFILE][0]))
     return Step(
@@ -189,7 +203,7 @@ def decode_step(messages: Messages, index: int, header: EpisodeHeader) -> Step:
         fused=decode_map(messages, Topic.FUSED, plan),
         frontier=_cells_in(cdr.unpack_grid_cells(_message(messages, Topic.FRONTIER)), plan),
         decision=decision,
-        metrics=scores,
+        metrics=metrics,
         events=tuple(_event(cdr.unpack_log(data)) for data in messages.get(Topic.EVENTS, ())),
         outcome=outcome,
         profile=profile,
@@ -197,7 +211,7 @@ def decode_step(messages: Messages, index: int, header: EpisodeHeader) -> Step:
 
 
 def decode_metrics(messages: Messages) -> tuple[Outcome | None, StepMetrics]:
-    """How the episode ended with a step, if it did, and the scores of its maps.
+    """How the episode ended with a step, if it did, and its scores, whatever they are.
 
     Raises:
         LogError: there is no such message.
@@ -248,11 +262,14 @@ def decode_map(messages: Messages, topic: Topic, plan: FloorPlan) -> Grid:
 
     Raises:
         LogError: there is none.
-        ValueError, struct.error: it is no map, or does not fit the floor plan.
+        ValueError, struct.error: it is no map, does not fit the floor plan, or has a cell that is
+            not -1, 0 or 100.
     """
     _, cells = cdr.unpack_grid(_message(messages, topic))
     if cells.shape != plan.shape:
         raise ValueError(f"a map of {cells.shape} cells on a floor plan of {plan.shape}")
+    if not _LEGAL.take(cells.view(np.uint8)).all():
+        raise ValueError(f"{topic}: {check_grid(cells)}")
     return cells
 
 
@@ -261,13 +278,19 @@ def decode_prediction(messages: Messages, plan: FloorPlan) -> Quantized | None:
 
     Raises:
         KeyError: its cells are of an unknown type.
-        ValueError, struct.error: it is no prediction, or does not fit the floor plan.
+        ValueError, struct.error: it is no prediction, does not fit the floor plan, or has a cell
+            that is no probability.
     """
     if Topic.P_WALL not in messages:
         return None
     grid = cdr.unpack_packed_grid(messages[Topic.P_WALL][0])
     packed = _PACKED_TYPES[grid.field_type]
     cells: npt.NDArray[Any] = grid.data.view(packed).reshape(plan.shape)
+    # Of a NaN both are false.
+    if packed.kind == "f" and not (cells.min() >= 0 and cells.max() <= 1):
+        row, col = np.argwhere(~((cells >= 0) & (cells <= 1)))[0].tolist()
+        value = cells[row, col].item()
+        raise ValueError(f"{Topic.P_WALL}: {value} at cell ({row}, {col}) is no probability")
     return cells.astype(packed.newbyteorder("="), copy=False)
 
 
@@ -310,23 +333,25 @@ def _points(cells: Cells, plan: FloorPlan) -> cdr.Points:
     return points
 
 
-def _cells_at(points: cdr.Points, plan: FloorPlan) -> Cells:
-    """int32[n, 2]: the cells whose centres are at `points`."""
+def _cells_at(points: cdr.Points, plan: FloorPlan) -> npt.NDArray[np.float64]:
+    """float64[n, 2]: the cells whose centres are at `points`, wherever that is."""
     metres = points[:, 1::-1] - (plan.origin.y, plan.origin.x)
-    return np.rint(metres / plan.resolution - 0.5).astype(np.int32)
+    cells: npt.NDArray[np.float64] = np.rint(metres / plan.resolution - 0.5)
+    return cells
 
 
 def _cells_in(points: cdr.Points, plan: FloorPlan) -> Cells:
-    """The same, of points that a file claims to be in the map.
+    """int32[n, 2]: the cells whose centres are at `points`.
 
     Raises:
-        ValueError: they are not, or are more than the map has cells.
+        ValueError: they are not in the map, or are more than it has cells.
     """
     check_count(f"cells in a map of {plan.cells.size}", len(points), plan.cells.size)
-    low, high = np.array(plan.origin), plan.origin + plan.resolution * np.array(plan.shape[::-1])
-    if not ((low <= points[:, :2]) & (points[:, :2] <= high)).all():
+    with np.errstate(invalid="ignore", over="ignore"):
+        cells = _cells_at(points, plan)
+    if not ((cells >= 0) & (cells < plan.shape)).all():  # also if one is not a number
         raise ValueError("a cell outside of the map")
-    return _cells_at(points, plan)
+    return cells.astype(np.int32)
 
 
 def _scan(hits: Hits, sensor: Sensor, resolution: float) -> cdr.Scan:
@@ -344,7 +369,25 @@ def _scan(hits: Hits, sensor: Sensor, resolution: float) -> cdr.Scan:
     )
 
 
+def _hits(metres: npt.NDArray[np.float32], sensor: Sensor, resolution: float) -> Hits:
+    """What the rays of a scan hit.
+
+    Raises:
+        ValueError: these are not the ranges of that sensor.
+    """
+    if metres.shape != (sensor.rays,):
+        raise ValueError(f"{Topic.SCAN}: {len(metres)} ranges of {sensor.rays} rays")
+    # inf is a ray that hit nothing.
+    if not ((metres > 0) & ((metres <= (sensor.reach + 1) * resolution) | np.isinf(metres))).all():
+        raise ValueError(f"{Topic.SCAN}: a range that no ray of that sensor has")
+    return hits_from_ranges(metres, sensor, resolution)
+
+
 # Maps
+
+
+_LEGAL: Final = np.isin(np.arange(256, dtype=np.uint8).view(np.int8), (UNKNOWN, FREE, OCCUPIED))
+"""bool[256]: which bytes a cell of a map may be."""
 
 
 def _info(plan: FloorPlan) -> cdr.GridInfo:
@@ -391,12 +434,15 @@ def _choice(decision: Decision) -> cdr.Choice:
     )
 
 
-def _decision(choice: cdr.Choice, path: Cells) -> Decision:
+def _decision(choice: cdr.Choice, path: Cells, plan: FloorPlan) -> Decision:
+    if len(path) < 2:
+        raise ValueError(f"{Topic.PLAN}: a path of {len(path)} cells; one has 2 or more")
+    check_count("rivals of a target", len(choice.rivals), plan.cells.size)
     return Decision(
-        chosen=_candidate(choice.chosen),
+        chosen=_candidate(choice.chosen, plan),
         path=path,
         mode=Mode(choice.mode),
-        rivals=tuple(_candidate(rival) for rival in choice.rivals),
+        rivals=tuple(_candidate(rival, plan) for rival in choice.rivals),
         random_draw=choice.random_draw if choice.is_random else None,
     )
 
@@ -405,9 +451,42 @@ def _rated(c: Candidate) -> cdr.Rated:
     return cdr.Rated(*c.cell, c.utility, c.reward, c.straight, c.diagonal, c.cost)
 
 
-def _candidate(rated: cdr.Rated) -> Candidate:
+def _candidate(rated: cdr.Rated, plan: FloorPlan) -> Candidate:
     row, col, utility, reward, straight, diagonal, _ = rated
+    height, width = plan.shape
+    if not (0 <= row < height and 0 <= col < width):
+        raise ValueError(f"{Topic.DECISION}: a target at ({row}, {col}), outside of the map")
+    if not (0 <= straight < plan.cells.size and 0 <= diagonal < plan.cells.size):
+        raise ValueError(f"{Topic.DECISION}: a path of {straight} straight, {diagonal} diagonal")
     return Candidate(Cell(row, col), utility, reward, straight, diagonal)
+
+
+def check_scores(scores: npt.NDArray[np.float64], steps: int, plan: FloorPlan) -> None:
+    """Whether metrics are numbers that metrics can be.
+
+    Args:
+        scores: float64[metrics, n], those of n steps in the order of `StepMetrics`; NaN where
+            undefined.
+        steps: Index of the last of them.
+        plan: The floor plan.
+
+    Raises:
+        ValueError: one is not.
+    """
+    # An agent of another simulator may jump through the map at each step.
+    furthest = (steps + 1) * sum(plan.shape) * plan.resolution
+    tops = np.where(_IS_LENGTH, furthest, np.where(_IS_LOSS, MAX_LOSS, 1.0))[:, None]
+    wrong = ~((scores >= 0) & (scores <= tops)) & ~(np.isnan(scores) & ~_IS_LENGTH[:, None])
+    if wrong.any():
+        metric, step = np.argwhere(wrong)[0].tolist()
+        value, name = scores[metric, step].item(), StepMetrics.names()[metric]
+        raise ValueError(f"{Topic.METRICS}: {name} is {value}, which it cannot be")
+
+
+MAX_LOSS: Final = 1000.0
+"""More than any log loss: predictions are clipped at half a quantum."""
+_IS_LENGTH: Final = np.array([name == "path_length" for name in StepMetrics.names()])
+_IS_LOSS: Final = np.array([name.startswith("log_loss") for name in StepMetrics.names()])
 
 
 # What happened

@@ -12,7 +12,7 @@ from enum import StrEnum
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Final, TypeVar
+from typing import TYPE_CHECKING, BinaryIO, Final, TypeAlias, TypeVar
 
 from mcap.opcode import Opcode
 
@@ -52,6 +52,7 @@ from mapreplay.recorders.log.messages import (
     decode_step,
     decode_truth,
     missing,
+    stamp_ns_of,
 )
 from mapreplay.recorders.log.parquet import UnknownParquetError
 from mapreplay.recorders.state import Condition, LogState, gaps_in, span_words
@@ -76,6 +77,9 @@ class MapName(StrEnum):
         """Where it is logged."""
         return Topic(f"/map/{self}")
 
+
+Stamps: TypeAlias = "list[tuple[Topic, int]]"
+"""What messages are stamped with, in nanoseconds of simulated time."""
 
 STEP_TOPICS: Final = frozenset(Topic) - {Topic.TRUTH, Topic.TF, Topic.PREDICTED}
 """What a Step is read from: the others repeat it for viewers."""
@@ -202,15 +206,20 @@ class EpisodeLog:
             STEP_TOPICS, lambda messages, index: decode_step(messages, index, self.header)
         )
 
-    def steps_with_messages(self) -> Iterator[tuple[Step, Messages]]:
-        """All steps in order, each with the messages of all topics that it was read from.
+    def steps_with_stamps(self) -> Iterator[tuple[Step, Stamps]]:
+        """All steps in order, each with the stamp of every message of it, in nanoseconds.
 
         Raises:
             LogError: the file is damaged or can no longer be read.
         """
 
-        def decode(messages: Messages, index: int) -> tuple[Step, Messages]:
-            return decode_step(messages, index, self.header), messages
+        def decode(messages: Messages, index: int) -> tuple[Step, Stamps]:
+            stamps = [
+                (topic, stamp_ns_of(topic, data))
+                for topic in Topic
+                for data in messages.get(topic, ())
+            ]
+            return decode_step(messages, index, self.header), stamps
 
         return self._decoded(tuple(Topic), decode)
 
@@ -304,7 +313,7 @@ class EpisodeLog:
             return table.table_of([table.row_of(step) for step in self.steps()])
         last = self[-1]
         with self._reading():
-            table.check_end(attached, last, self.summary, self.header.config)
+            table.check_end(attached, last, self.summary, self.header)
         return attached
 
     @property

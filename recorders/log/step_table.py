@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from mapreplay.config import EpisodeConfig
 from mapreplay.recorders.log.header import EpisodeSummary
 from mapreplay.recorders.log.limits import MAX_ROW_BYTES, TABLE_BYTES
+from mapreplay.recorders.log.messages import check_scores
 from mapreplay.recorders.log.parquet import Column, Kind, read_columns
-from mapreplay.step import Mode, Step, StepMetrics
+from mapreplay.step import EpisodeHeader, Mode, Step, StepMetrics
 
 if TYPE_CHECKING:
     import polars as pl
@@ -94,7 +94,7 @@ def from_parquet(data: bytes, rows: int) -> pl.DataFrame:
 
 
 def check_end(
-    table: pl.DataFrame, last: Step, summary: EpisodeSummary, config: EpisodeConfig
+    table: pl.DataFrame, last: Step, summary: EpisodeSummary, header: EpisodeHeader
 ) -> None:
     """Whether a table of all steps ends as the log does.
 
@@ -102,13 +102,16 @@ def check_end(
         table: See `table_of`; not empty.
         last: The last step.
         summary: How the episode ended, as the log says it.
-        config: The episode's.
+        header: What the log says once.
 
     Raises:
         ValueError: it does not, so that it is the table of another log, or was changed.
     """
     if table.row(-1) != row_of(last):
         raise ValueError(f"{ATTACHMENT} has another last step than the log")
+    scores = table.select(StepMetrics.names()).to_numpy().T
+    check_scores(scores, len(table), header.floor_plan)
+    config = header.config
     built = config.build.value
     told = {
         "mapping time": (summary.mapping_time, f"coverage_{built}", config.coverage),

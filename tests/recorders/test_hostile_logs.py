@@ -4,7 +4,7 @@ import io
 import struct
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from itertools import takewhile
 from pathlib import Path
 from typing import NamedTuple
@@ -40,29 +40,8 @@ from mapreplay.recorders.log.messages import Topic
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.step import FIRST_STAMP_NS
+from memory import bounded
 from recordings import Recorded
-
-MEMORY = 200 << 20
-"""What reading a hostile file of a few MB may take; the bombs ask for gigabytes."""
-
-STATUS, RESET = Path("/proc/self/status"), Path("/proc/self/clear_refs")
-
-
-def status(key: str) -> int:
-    (line,) = [line for line in STATUS.read_text().splitlines() if line.startswith(key)]
-    return int(line.split()[1]) * 1024
-
-
-@contextmanager
-def bounded() -> Iterator[None]:
-    """What is done in it takes at most `MEMORY`, where the peak is known."""
-    if not RESET.exists():  # not Linux
-        yield
-        return
-    RESET.write_text("5")
-    before = status("VmRSS")
-    yield
-    assert status("VmHWM") - before < MEMORY
 
 
 class Parts(NamedTuple):

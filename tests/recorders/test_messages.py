@@ -41,6 +41,7 @@ from mapreplay.step import (
 from oracle import from_cdr, to_cdr
 
 reals = st.floats(width=64)
+shares = st.floats(0, 1) | st.just(float("nan"))
 int64s = st.integers(0, 2**63 - 1)
 
 
@@ -74,7 +75,7 @@ def recorded_steps(draw: st.DrawFn) -> tuple[Step, EpisodeHeader]:
         return np.array([cell() for _ in range(count)], np.int32).reshape(count, 2)
 
     def candidate() -> Candidate:
-        moves = rng.integers(0, 5000, 2).tolist()
+        moves = rng.integers(0, shape[0] * shape[1], 2).tolist()
         return Candidate(cell(), draw(reals), draw(reals), *moves)
 
     def prediction(dtype: str | None) -> Quantized | None:
@@ -114,7 +115,9 @@ def recorded_steps(draw: st.DrawFn) -> tuple[Step, EpisodeHeader]:
         fused=grid(),
         frontier=cells(draw(st.integers(0, 30))),
         decision=draw(st.sampled_from([None, decision])),
-        metrics=StepMetrics(*[draw(reals) for _ in StepMetrics.names()]),
+        metrics=StepMetrics(
+            draw(st.floats(0, 0.1)), *[draw(shares) for _ in StepMetrics.names()[1:]]
+        ),
         events=tuple(draw(events)),
         outcome=draw(st.none() | st.sampled_from(Outcome)),
         profile=draw(st.none() | profiles),

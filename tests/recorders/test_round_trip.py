@@ -81,9 +81,19 @@ class Anything:
         ).tolist()
         return kept
 
+    def scores(self) -> StepMetrics:
+        """Metres, and shares with some that are undefined."""
+        count = len(StepMetrics.names())
+        special = np.array([0.0, -0.0, 5e-324, np.nan, 1 / 3, 1.0])
+        shares = np.where(
+            self.rng.random(count) < 0.5, self.rng.random(count), self.rng.choice(special, count)
+        )
+        return StepMetrics(float(self.rng.random()) / 10, *shares[1:].tolist())
+
     def candidate(self) -> Candidate:
         utility, reward = self.reals(2)
-        return Candidate(self.cell(), utility, reward, *self.rng.integers(0, 2**31, 2).tolist())
+        moves = self.rng.integers(0, self.shape[0] * self.shape[1], 2).tolist()
+        return Candidate(self.cell(), utility, reward, *moves)
 
     def decision(self) -> Decision:
         rivals = self.rng.integers(0, MAX_RIVALS, endpoint=True)
@@ -114,7 +124,7 @@ class Anything:
             fused=self.grid(),
             frontier=self.cells(int(self.rng.integers(0, min(200, self.shape[0] * self.shape[1])))),
             decision=None if outcome else self.decision(),
-            metrics=StepMetrics(*self.reals(len(StepMetrics.names()))),
+            metrics=self.scores(),
             events=tuple(Event(list(EventKind)[kind], f"Ereignis Nº {kind} ✓") for kind in kinds),
             outcome=outcome,
             profile=StepProfile(*self.rng.integers(0, 2**63, 5, np.int64).tolist()),
