@@ -77,8 +77,11 @@ def make_bundle(log: EpisodeLog, until: int | None = None) -> Bundle:
             path.write_bytes(data)
         else:
             _write_part(log, last, path)
-        packed = EpisodeLog(path)
-        diagnosis = diagnose(packed)
+        try:
+            packed = EpisodeLog(path)
+            diagnosis = diagnose(packed)
+        except LogError as error:  # of the copy: nobody knows its name
+            raise LogError(str(error).replace(str(path), str(log.path))) from None
         files = {
             LOG_NAME: path.read_bytes(),
             "README.txt": _read_me(packed, diagnosis).encode(),

@@ -122,8 +122,9 @@ def _write(log: SalvagedLog, path: Path) -> tuple[list[int], Outcome | None]:
 
 def _is_intact(source: Path) -> bool:
     with suppress(LogError):
-        state = EpisodeLog(source).state
-        return state.tail is None and state.condition in _WHOLE_FILES
+        log = EpisodeLog(source)
+        log.table()  # which is written anew if it is damaged
+        return log.state.tail is None and log.state.condition in _WHOLE_FILES
     return False
 
 

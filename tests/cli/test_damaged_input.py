@@ -150,6 +150,19 @@ def test_one_damaged_table_costs_its_log(
         assert refused
 
 
+def test_recover_writes_a_damaged_table_anew(
+    cli: Run, originals: list[Path], tmp_path: Path
+) -> None:
+    pieces = pieces_of(originals[3].read_bytes())
+    (k,) = (k for k, piece in enumerate(pieces) if piece.opcode == Opcode.ATTACHMENT)
+    pieces[k] = with_attachment(attachment_of(pieces[k])[:-1])
+    (tmp_path / "bad.mcap").write_bytes(log_of(pieces))
+    assert cli("recover", tmp_path / "bad.mcap").code == 0
+    made = tmp_path / "bad.recovered.mcap"
+    assert EpisodeLog(made).finished
+    assert EpisodeLog(made).table().equals(EpisodeLog(originals[3]).table())
+
+
 @pytest.mark.parametrize("make", [lambda _: None, lambda frame: frame.drop("f1")])
 def test_a_log_whose_table_is_not_ours_is_tabulated_from_its_steps(
     cli: Run, originals: list[Path], tmp_path: Path, make: Callable[[pl.DataFrame], object]

@@ -78,10 +78,10 @@ def test_more_than_ten_are_counted(cli: Run, logs: Path, tmp_path: Path) -> None
     log = EpisodeLog(sorted(logs.iterdir())[0])
     with EpisodeWriter(tmp_path / "a.mcap", log.header) as writer:
         for step in log:
-            writer.write(replace(step, metrics=replace(step.metrics, f1=-1.0)))
+            writer.write(replace(step, metrics=replace(step.metrics, f1=0.987)))
     result = cli("verify", tmp_path)
     assert result.code == 1
-    assert result.err.count("/metrics f1: logged -1.0") == 10
+    assert result.err.count("/metrics f1: logged 0.987") == 10
     assert f"{tmp_path / 'a.mcap'}: 31 differences; the first 10 shown" in result.err
 
 
