@@ -22,6 +22,16 @@ ID_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,127}")
 """What a floor plan may be called, because ids become names of files."""
 
 
+@dataclass(frozen=True)
+class Doubt:
+    """Why a floor plan may not be what was meant."""
+
+    kind: str
+    """In a few words, the same for all of its kind: "no wall"."""
+    text: str
+    """One line with the numbers and what to do about it."""
+
+
 @dataclass(frozen=True, eq=False)
 class FloorPlan:
     """The true map. Cells are -1 (unknown, as in a real robot's map), 0 or 100."""
@@ -34,6 +44,10 @@ class FloorPlan:
     origin: Origin = Origin(0.0, 0.0)
     has_truth: bool = True
     """False for the log of a robot whose true map nobody knows; then all cells are unknown."""
+    file: str = ""
+    """What it was read from, for messages; empty where the id says it."""
+    doubts: tuple[Doubt, ...] = ()
+    """What its source found odd in the file; see `mapreplay.floorplans.plausibility`."""
 
     def __post_init__(self) -> None:
         """Check and freeze.
@@ -59,6 +73,11 @@ class FloorPlan:
         if problem is not None:
             raise FloorPlanError(f"floor plan {self.id}: {problem}")
         self.cells.setflags(write=False)
+
+    @property
+    def where(self) -> str:
+        """What a message calls it."""
+        return self.file or f"floor plan {self.id}"
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -308,11 +308,16 @@ def log(
 
 def _plans(spec: str, ids: Path | None, limit: int) -> Iterator[FloorPlan]:
     from mapreplay.floorplans import load_each, open_source, read_ids, select
+    from mapreplay.floorplans.plausibility import examine, warning_lines
 
     source = open_source(spec)
     wanted = read_ids(ids) if ids else None
+    plans = []
     for _, plan in load_each(source, select(source, wanted, limit).ids):
         if isinstance(plan, FloorPlanError):
             note(f"refused: {plan}")
         else:
-            yield plan
+            plans.append(plan)
+    for line in warning_lines([p.where for p in plans], [examine(p) for p in plans]):
+        note(line)
+    yield from plans

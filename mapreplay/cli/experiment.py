@@ -88,8 +88,12 @@ def _make(settings: ExperimentConfig, places: dict[str, str], out: Path, process
     from mapreplay.analysis.experiment.jobs import jobs_of
     from mapreplay.analysis.experiment.rows import ROWS_FILE
     from mapreplay.analysis.experiment.sweep import setting_folder
+    from mapreplay.floorplans.plausibility import examine, warning_lines
 
     plans = {d.name: d.load(places.get(d.name)) for d in settings.datasets}
+    for of_dataset in plans.values():
+        for line in warning_lines([p.where for p in of_dataset], list(map(examine, of_dataset))):
+            note(line)
     _keep_settings(settings, plans, out)
 
     def simulate(what: ExperimentConfig, folder: Path) -> None:

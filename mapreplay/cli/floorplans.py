@@ -22,7 +22,9 @@ from mapreplay.errors import FloorPlanError
 from mapreplay.files import write_whole
 
 if TYPE_CHECKING:
-    from mapreplay.floorplan import FloorPlan
+    from collections.abc import Sequence
+
+    from mapreplay.floorplan import Doubt, FloorPlan
 
 
 def floorplans(
@@ -30,7 +32,8 @@ def floorplans(
         str,
         typer.Argument(
             help="procedural:FIRST-LAST, a HouseExpo archive, folder or JSON file, a map_server "
-            "YAML, an image, or a registered SOURCE:REST."
+            "YAML, an image, or a registered SOURCE:REST. Greys of images and maps: "
+            "PATH:free=0.3,occupied=0.6,negate=1."
         ),
     ] = "procedural",
     ids: Annotated[Path | None, typer.Option(help="File with one id a line.")] = None,
@@ -45,11 +48,15 @@ def floorplans(
     output: OutputOption = None,
     force: ForceOption = False,
 ) -> None:
-    """List, describe and preview floor plans."""
+    """List, describe and preview floor plans, and say what is odd about them.
+
+    Exit code 0: all were read, 3: some were left out, 1: none was read.
+    """
     check_outputs(output, preview, force=force)
     import polars as pl
 
     from mapreplay.floorplans import load_each, open_source, read_ids, select
+    from mapreplay.floorplans.plausibility import examine, warning_lines
 
     source = open_source(spec, resolution)
     wanted = read_ids(ids) if ids else None
@@ -60,8 +67,9 @@ def floorplans(
             refused.append(str(plan))
         else:
             plans.append(plan)
+    doubts = [examine(plan) for plan in plans]
     if plans:
-        frame = pl.DataFrame([_row(plan) for plan in plans])
+        frame = pl.DataFrame(list(map(_row, plans, doubts)))
         text = frame.select(
             "id",
             pl.format("{} x {}", "height", "width").alias("cells"),
@@ -79,18 +87,23 @@ def floorplans(
     total = len(wanted) - len(selection.missing) if wanted is not None else len(source.ids())
     if total > len(selection.ids):
         note(f"{len(selection.ids)} of {total} plans; see more with --limit")
+    for line in warning_lines([p.where for p in plans], doubts):
+        note(line)
     for line in refused:
         note(f"refused: {line}")
     if selection.missing:
         note(f"{len(selection.missing)} ids are not in {spec}, such as {selection.missing[0]}")
+    if not plans:
+        raise typer.Exit(1)
     if refused or selection.missing:
         raise typer.Exit(LOST)
 
 
-def _row(plan: FloorPlan) -> dict[str, Any]:
+def _row(plan: FloorPlan, doubts: Sequence[Doubt]) -> dict[str, Any]:
     from mapreplay.floorplans.describe import describe
 
     summary = describe(plan)
     fields = asdict(summary)
     del fields["start"]
-    return fields | {"start_row": summary.start.row, "start_col": summary.start.col}
+    start = {"start_row": summary.start.row, "start_col": summary.start.col}
+    return fields | start | {"doubts": "; ".join(doubt.text for doubt in doubts)}

@@ -28,7 +28,8 @@ def run(
     floorplans: Annotated[
         str | None,
         typer.Option(
-            help="procedural:FIRST-LAST, HouseExpo archive, folder or file, map_server YAML, image."
+            help="procedural:FIRST-LAST, HouseExpo archive, folder or file, map_server YAML, "
+            "image; greys of the last two: PATH:free=0.3,occupied=0.6,negate=1."
         ),
     ] = None,
     ids: Annotated[Path | None, typer.Option(help="File with one floor-plan id a line.")] = None,
@@ -187,6 +188,7 @@ def _settings(path: Path | None, given: dict[str, Any]) -> RunConfig:
 def _plan_tasks(settings: RunConfig, folder: Path, *, force: bool) -> tuple[list[Task], int]:
     """The episodes to run, and how many floor plans cannot be had."""
     from mapreplay.floorplans import load_each, open_source, read_ids, select
+    from mapreplay.floorplans.plausibility import examine, warning_lines
     from mapreplay.recorders.batch import Task
 
     source = open_source(settings.floorplans, settings.resolution)
@@ -198,12 +200,13 @@ def _plan_tasks(settings: RunConfig, folder: Path, *, force: bool) -> tuple[list
             f"such as {selection.missing[0]}"
         )
     tasks, refused = [], 0
+    doubts = {}
     rounds = -(-(settings.episodes or len(selection.ids)) // max(len(selection.ids), 1))
     for _, floor_plan in load_each(source, selection.ids):
         try:
             if isinstance(floor_plan, FloorPlanError):
                 raise floor_plan
-            floor_plan.check_start(settings.start_cell)
+            doubts[floor_plan.where] = examine(floor_plan, settings.start_cell)
         except FloorPlanError as error:
             note(f"refused: {error}")
             refused += 1
@@ -221,6 +224,8 @@ def _plan_tasks(settings: RunConfig, folder: Path, *, force: bool) -> tuple[list
                     settings.weights,
                 )
             )
+    for line in warning_lines(list(doubts), list(doubts.values())):
+        note(line)
     tasks.sort(key=lambda task: task.config.seed)
     others = {task.floor_plan.resolution for task in tasks} - {TRAINED_AT}
     if settings.predictor is None and others and tasks[0].config.predictor != "none":

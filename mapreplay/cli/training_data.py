@@ -13,6 +13,7 @@ from mapreplay.cli.output import note
 from mapreplay.cli.progress import progress_bar
 from mapreplay.errors import FloorPlanError, LogError
 from mapreplay.floorplans import FloorPlanSource
+from mapreplay.floorplans.plausibility import warning_lines
 from mapreplay.recorders.blame import blaming
 from mapreplay.recorders.log.find import find_logs
 from mapreplay.recorders.log.reader import EpisodeLog
@@ -55,11 +56,14 @@ def load(what: str, source: FloorPlanSource, ids: Sequence[str], jobs: int) -> l
             plans += [result for result in results if isinstance(result, TrainingPlan)]
             refused += [result for result in results if isinstance(result, FloorPlanError)]
             bar.advance(task, len(results))
+    plans.sort(key=lambda plan: plan.number)
+    for line in warning_lines([plan.where for plan in plans], [plan.doubts for plan in plans]):
+        note(line)
     if refused:
         note(f"{len(refused)} {what} plans were refused, such as: {refused[0]}")
     if not plans and ids:
         raise FloorPlanError(f"no {what} plan is left ({refused[0]})")
-    return sorted(plans, key=lambda plan: plan.number)
+    return plans
 
 
 def load_logs(paths: Sequence[Path], apart: frozenset[str], jobs: int) -> LoggedPlans:

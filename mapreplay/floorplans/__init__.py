@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,17 @@ from typing import Final, Protocol, cast
 from mapreplay import plugins
 from mapreplay.errors import FloorPlanError, UsageError
 from mapreplay.floorplan import ID_PATTERN, FloorPlan
-from mapreplay.floorplans.files import exists, read_limited
+from mapreplay.floorplans.files import (
+    exists,
+    files_in,
+    folders_in,
+    is_link,
+    missing,
+    read_limited,
+)
+from mapreplay.floorplans.greys import split_options
+from mapreplay.floorplans.plausibility import check_explorable
+from mapreplay.identify import identify, identify_file
 
 MAX_IDS: Final = 1_000_000
 _MAX_ID_LIST_BYTES: Final = 160 << 20
@@ -54,13 +65,19 @@ def _holds_maps(folder: Path) -> bool:
 
 
 def _holds_houses(folder: Path) -> bool:
-    return any(folder.glob("*.json"))
+    from mapreplay.floorplans.houseexpo import find_houses
+
+    return bool(find_houses(folder))
 
 
 def _holds_images(folder: Path) -> bool:
     from mapreplay.floorplans.image import find_images
 
     return bool(find_images(folder))
+
+
+WITH_OPTIONS: Final = ("map_server", "image")
+"""The sources whose specifications may end in options, see `greys.split_options`."""
 
 
 FOLDERS: Final[Mapping[str, Callable[[Path], bool]]] = {
@@ -92,6 +109,7 @@ def open_source(spec: str, resolution: float | None = None) -> FloorPlanSource:
     Args:
         spec: ``name:rest`` or ``name`` of a registered source, like ``procedural:7``; else the
             path of a file or folder. A file called like a source is reached by ``./name``.
+            Of images and maps with options, like ``plan.png:free=0.3,occupied=0.6,negate=1``.
         resolution: metres a cell, or None for the source's own.
 
     Raises:
@@ -103,18 +121,44 @@ def open_source(spec: str, resolution: float | None = None) -> FloorPlanSource:
     name, _, rest = spec.partition(":")
     if name in plugins.available(plugins.Group.FLOORPLANS):
         return _open(name, rest, resolution)
-    path = Path(spec)
-    by_ending = next((ENDINGS[end] for end in ENDINGS if spec.lower().endswith(end)), None)
+    name, options = split_options(spec)
+    path = Path(name)
+    by_ending = next((ENDINGS[end] for end in ENDINGS if name.lower().endswith(end)), None)
     if not spec or not exists(path):
-        if by_ending or len(path.parts) > 1:
-            raise FloorPlanError(f"{spec}: no such file or folder")
+        if by_ending or len(path.parts) > 1 or is_link(path):
+            raise FloorPlanError(missing(path))
         raise UsageError(f"{spec!r}: no such file or folder, and no source; {_understood()}")
     found = by_ending
     if path.is_dir():
         found = _source_of(path)
+        if found is None:
+            raise UsageError(
+                f"{spec}: not a folder of floor plans, {_contents(path)}; {_understood()}"
+            )
     if found is None:
-        raise UsageError(f"{spec}: not a floor plan, nor a folder of them; {_understood()}")
+        what = identify_file(path)
+        line = f"{spec}: not a floor plan" + (f": {what}" if what else "")
+        raise UsageError(f"{line}; {_understood()}")
+    if found not in WITH_OPTIONS and options:
+        raise UsageError(f"{spec}: only images and map_server maps have greys to be chosen")
     return _open(found, spec, resolution)
+
+
+def _contents(folder: Path) -> str:
+    """What else a folder holds, and where near it there are floor plans."""
+    near = next((inner for inner in folders_in(folder) if _source_of(inner)), None)
+    if near is not None:
+        return f"but {near} is one"
+    files = files_in(folder)
+    if not files:
+        return "it holds no file"
+    endings = Counter(path.suffix.lower() or "other" for path in files)
+    for path in files:
+        what = identify_file(path) if path.suffix.lower() in ENDINGS else None
+        if what is not None:
+            return f"{path} is {what}"
+    kinds = " and ".join(f"{count} {ending}" for ending, count in endings.most_common(3))
+    return f"it holds {kinds} file{'s' if sum(endings.values()) > 1 else ''}"
 
 
 def _open(name: str, rest: str, resolution: float | None) -> FloorPlanSource:
@@ -136,8 +180,12 @@ def read_ids(path: Path) -> list[str]:
     Raises:
         FloorPlanError: the file cannot be read, is not such a list, or is empty.
     """
+    content = read_limited(path, _MAX_ID_LIST_BYTES)
+    what = identify(content)
+    if content and what is not None:
+        raise FloorPlanError(f"{path}: not a list of ids: {what}")
     try:
-        lines = read_limited(path, _MAX_ID_LIST_BYTES).decode("utf-8-sig").splitlines()
+        lines = content.decode("utf-8-sig").splitlines()
     except UnicodeDecodeError:
         raise FloorPlanError(f"{path}: not a list of ids (not a text file)") from None
     if len(lines) > MAX_IDS:
@@ -198,6 +246,9 @@ def load_each(
 ) -> Iterator[tuple[str, FloorPlan | FloorPlanError]]:
     """The floor plans of `ids` in their order, each by its id, or why it was refused.
 
+    Those in which there is nothing to explore are refused, whatever source they are of. What is
+    doubtful about the others `mapreplay.floorplans.plausibility.examine` says.
+
     They are loaded before the first comes, in the order in which the source has them: to go
     back and forth in an archive is to read it from its start again and again.
     """
@@ -206,7 +257,9 @@ def load_each(
     for floor_plan_id in source.ids():
         if floor_plan_id in wanted:
             try:
-                loaded[floor_plan_id] = source.load(floor_plan_id)
+                plan = source.load(floor_plan_id)
+                check_explorable(plan)
+                loaded[floor_plan_id] = plan
             except FloorPlanError as error:
                 loaded[floor_plan_id] = error
     yield from ((floor_plan_id, loaded[floor_plan_id]) for floor_plan_id in ids)

@@ -1,16 +1,18 @@
-"""Reading files that a user names: with limits, and with errors of one line."""
+"""Reading files and folders that a user names: with limits, and with errors of one line."""
 
 from __future__ import annotations
 
 import re
 import reprlib
-from collections.abc import Iterable
-from pathlib import Path
+from collections.abc import Collection, Iterable
+from contextlib import suppress
+from pathlib import Path, PurePath
 from typing import Final
 
 from mapreplay.errors import FloorPlanError, UsageError
 
 _ILLEGAL_IN_ID: Final = re.compile(r"[^A-Za-z0-9._+-]+")
+_MAX_INNER: Final = 100
 _MAX_ID: Final = 120
 """Leaves room for a number within the 128 characters of an id."""
 
@@ -26,8 +28,15 @@ def existing_path(source: str, rest: str) -> Path:
         raise UsageError(f"{source}: which file or folder? Say {source}:PATH")
     path = Path(rest)
     if not exists(path):
-        raise FloorPlanError(f"{rest}: no such file or folder")
+        raise FloorPlanError(missing(path))
     return path
+
+
+def missing(path: Path) -> str:
+    """The line that says that `path` does not exist."""
+    if is_link(path):
+        return f"{path}: a broken link, to {path.readlink()}"
+    return f"{path}: no such file or folder"
 
 
 def exists(path: Path) -> bool:
@@ -38,6 +47,54 @@ def exists(path: Path) -> bool:
         return False
 
 
+def is_link(path: Path) -> bool:
+    """Whether there is a link of that name, broken or not."""
+    try:
+        return path.is_symlink()
+    except (OSError, ValueError):
+        return False
+
+
+def files_in(folder: Path, endings: Collection[str] = (), *, below: bool = False) -> list[Path]:
+    """The entries of `folder` (and `below` it) with one of `endings` in any case, sorted.
+
+    No `endings` are all of them. Of folders there is none.
+
+    Junk that other programs leave is passed over, see `is_junk`.
+
+    Raises:
+        FloorPlanError: the folder cannot be read.
+    """
+    try:
+        found = sorted(folder.rglob("*") if below else folder.iterdir())
+    except OSError as error:
+        raise FloorPlanError(f"{folder}: cannot be read ({error.strerror or error})") from None
+    return [
+        path
+        for path in found
+        if (path.suffix.lower() in endings or not endings)
+        and not is_junk(path.relative_to(folder))
+        and not path.is_dir()
+    ]
+
+
+def folders_in(folder: Path) -> list[Path]:
+    """The folders in `folder`, sorted; of very many the first ones, and no hidden ones."""
+    with suppress(OSError):
+        inner = sorted(path for path in folder.iterdir() if path.is_dir())
+        return [path for path in inner if not is_junk(path.relative_to(folder))][:_MAX_INNER]
+    return []
+
+
+def is_junk(inner: PurePath) -> bool:
+    """Whether a path inside a folder or archive is hidden, or what a Mac leaves in both.
+
+    A Mac writes ``._x.png`` next to ``x.png`` on many disks and into every archive, and a folder
+    ``__MACOSX`` into zips; its ``._`` files end and sort like what they lie next to.
+    """
+    return any(part.startswith(".") or part == "__MACOSX" for part in inner.parts if part != ".")
+
+
 def read_limited(path: Path, limit: int) -> bytes:
     """The bytes of a regular file of at most `limit` bytes.
 
@@ -46,8 +103,7 @@ def read_limited(path: Path, limit: int) -> bytes:
     """
     try:
         if not path.is_file():  # a folder, or a device that never ends
-            problem = "is a folder" if path.is_dir() else "no such file"
-            raise FloorPlanError(f"{path}: {problem}")
+            raise FloorPlanError(f"{path}: {_why_no_file(path)}")
         with path.open("rb") as file:
             content = file.read(limit + 1)
     except (OSError, ValueError) as error:
@@ -56,6 +112,14 @@ def read_limited(path: Path, limit: int) -> bytes:
     if len(content) > limit:
         raise FloorPlanError(f"{path}: larger than {_human_size(limit)}")
     return content
+
+
+def _why_no_file(path: Path) -> str:
+    if path.is_dir():
+        return "is a folder"
+    if is_link(path):
+        return f"is a broken link, to {path.readlink()}"
+    return "is not a regular file" if path.exists() else "no such file"
 
 
 def _human_size(size: int) -> str:

@@ -23,9 +23,11 @@ import numpy.typing as npt
 
 from mapreplay.errors import FloorPlanError, UsageError
 from mapreplay.floorplan import FloorPlan
-from mapreplay.floorplans.files import brief, existing_path, read_limited
+from mapreplay.floorplans.files import brief, existing_path, files_in, is_junk, read_limited
 from mapreplay.grid import FREE, OCCUPIED, Grid, Origin
+from mapreplay.identify import identify, identify_file
 
+ENDING: Final = ".json"
 PIXELS_PER_METRE: Final = 80
 MAX_METRES: Final = 200.0
 MIN_RESOLUTION: Final = 0.01
@@ -59,7 +61,8 @@ def parse_house(text: bytes, name: str) -> House:
     try:
         data = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise FloorPlanError(f"{name}: not a JSON file ({error})") from None
+        reason = identify(text) or error
+        raise FloorPlanError(f"{name}: not a JSON file ({reason})") from None
     if not isinstance(data, dict):
         raise FloorPlanError(f"{name}: expected a JSON object with 'id' and 'verts'")
     missing = [key for key in ("id", "verts") if key not in data]
@@ -141,6 +144,7 @@ class HouseExpoSource:
         self._path = path
         self._resolution = resolution
         self._ids: list[str] | None = None
+        self._files: dict[str, Path] | None = None
         self._texts: dict[str, bytes] = {}
 
     def ids(self) -> Sequence[str]:
@@ -177,7 +181,10 @@ class HouseExpoSource:
         if not _HOUSE_ID.fullmatch(floor_plan_id):
             raise FloorPlanError(f"{self._path}: holds no house {floor_plan_id[:40]!r}")
         if self._path.is_dir():
-            return read_limited(self._path / f"{floor_plan_id}.json", MAX_JSON_BYTES)
+            path = self._in_folder().get(floor_plan_id)
+            if path is None:
+                raise FloorPlanError(f"{self._path}: holds no house {floor_plan_id}")
+            return read_limited(path, MAX_JSON_BYTES)
         found: bytes | None = None
         size = 0
         self._texts = {}
@@ -193,11 +200,17 @@ class HouseExpoSource:
             raise FloorPlanError(f"{self._path}: holds no house {floor_plan_id}")
         return found
 
+    def _in_folder(self) -> dict[str, Path]:
+        """The houses of a folder by id; of two that differ in case of the ending the first."""
+        if self._files is None:
+            self._files = {path.stem: path for path in reversed(find_houses(self._path))}
+        return self._files
+
     def _members(self, *, with_text: bool) -> Iterator[tuple[str, bytes]]:
         if self._path.is_dir():
-            for path in sorted(self._path.glob("*.json")):
-                yield path.stem, read_limited(path, MAX_JSON_BYTES) if with_text else b""
-        elif self._path.suffix == ".json":
+            for house_id, path in sorted(self._in_folder().items()):
+                yield house_id, read_limited(path, MAX_JSON_BYTES) if with_text else b""
+        elif self._path.suffix.lower() == ENDING:
             yield self._path.stem, read_limited(self._path, MAX_JSON_BYTES) if with_text else b""
         else:
             yield from _archive_members(self._path, with_text=with_text)
@@ -237,7 +250,9 @@ def _archive_members(path: Path, *, with_text: bool) -> Iterator[tuple[str, byte
                     raise FloorPlanError(f"it holds the name {member.name[:80]!r}")
                 if count >= MAX_MEMBERS:
                     raise FloorPlanError(f"it holds over {MAX_MEMBERS} files")
-                if not member.isfile() or inner.suffix != ".json" or inner.stem in seen:
+                if not member.isfile() or inner.suffix.lower() != ENDING or inner.stem in seen:
+                    continue
+                if is_junk(inner):
                     continue
                 seen.add(inner.stem)
                 stream = archive.extractfile(member) if with_text else None
@@ -246,7 +261,19 @@ def _archive_members(path: Path, *, with_text: bool) -> Iterator[tuple[str, byte
         raise FloorPlanError(f"{path}: refused, {error}") from None
     except (tarfile.TarError, EOFError, zlib.error, OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
+        what = identify_file(path)
+        if what and "-compressed" not in what and "tar archive" not in what:
+            reason = what  # else it is what it should be, and the reason says where it ends
         raise FloorPlanError(f"{path}: not a readable tar archive ({reason})") from None
+
+
+def find_houses(folder: Path) -> list[Path]:
+    """The JSON files in `folder`, not below, sorted; without hidden ones.
+
+    Raises:
+        FloorPlanError: the folder cannot be read.
+    """
+    return files_in(folder, (ENDING,))
 
 
 def open_source(rest: str, resolution: float | None) -> HouseExpoSource:

@@ -1,4 +1,7 @@
-"""Plain PNG and PGM images: dark is occupied, light is free, mid grey and clear are unknown."""
+"""Plain PNG and PGM images: dark is occupied, light is free, mid grey and clear are unknown.
+
+What is dark and light can be chosen: ``plan.png:free=0.3,occupied=0.6,negate=1``.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +12,10 @@ from typing import Final
 
 from mapreplay.errors import FloorPlanError, UsageError
 from mapreplay.floorplan import FloorPlan
-from mapreplay.floorplans.files import existing_path, unique_ids
-from mapreplay.floorplans.map_server import to_cells
+from mapreplay.floorplans.files import existing_path, files_in, unique_ids
+from mapreplay.floorplans.greys import NO_OPTIONS, GreyOptions, GreyRule, split_options
 from mapreplay.floorplans.pixels import read_pixels
+from mapreplay.floorplans.reading import Where, plan_of
 
 ENDINGS: Final = (".png", ".pgm")
 DEFAULT_RESOLUTION: Final = 0.05
@@ -19,18 +23,28 @@ DEFAULT_RESOLUTION: Final = 0.05
 
 
 class ImageSource:
-    """One image, or all in a folder; with the thresholds that are map_server's defaults."""
+    """One image, or all in a folder; by default with map_server's usual thresholds."""
 
     default_predictor = "d2"
 
-    def __init__(self, path: Path, resolution: float = DEFAULT_RESOLUTION) -> None:
-        """`resolution` is in metres a pixel.
+    def __init__(
+        self,
+        path: Path,
+        resolution: float = DEFAULT_RESOLUTION,
+        options: GreyOptions = NO_OPTIONS,
+    ) -> None:
+        """`resolution` is in metres a pixel; `options` says what is dark and what is light.
 
         Raises:
-            UsageError: `resolution` is not a positive number.
+            UsageError: `resolution` is not a positive number, or the thresholds contradict
+                each other.
         """
         if not (math.isfinite(resolution) and resolution > 0):
             raise UsageError(f"resolution {resolution} must be a positive number of metres a cell")
+        try:
+            self._rule = options.applied_to(GreyRule())
+        except ValueError as error:
+            raise UsageError(f"{path}: {error}") from None
         self._path = path
         self._resolution = resolution
         self._files: dict[str, Path] | None = None
@@ -52,8 +66,8 @@ class ImageSource:
         path = self._by_id().get(floor_plan_id)
         if path is None:
             raise FloorPlanError(f"{self._path}: holds no image {floor_plan_id}")
-        cells = to_cells(read_pixels(path), "scale")
-        return FloorPlan(floor_plan_id, cells, self._resolution)
+        where = Where(path, str(self._path))
+        return plan_of(floor_plan_id, read_pixels(path), self._rule, self._resolution, where)
 
     def _by_id(self) -> dict[str, Path]:
         if self._files is None:
@@ -66,16 +80,22 @@ class ImageSource:
 
 
 def find_images(folder: Path) -> list[Path]:
-    """The PNG and PGM files in `folder`, not below, sorted."""
-    return sorted(path for path in folder.iterdir() if path.suffix.lower() in ENDINGS)
+    """The PNG and PGM files in `folder`, not below, sorted; without hidden ones.
+
+    Raises:
+        FloorPlanError: the folder cannot be read.
+    """
+    return files_in(folder, ENDINGS)
 
 
 def open_source(rest: str, resolution: float | None) -> ImageSource:
     """The source ``image``; see `mapreplay.plugins.Group.FLOORPLANS`.
 
     Raises:
-        UsageError: no path, or a resolution that is not a positive number.
+        UsageError: no path, a resolution that is not a positive number, or options that are
+            none.
         FloorPlanError: there is no such file or folder.
     """
-    path = existing_path("image", rest)
-    return ImageSource(path, DEFAULT_RESOLUTION if resolution is None else resolution)
+    name, options = split_options(rest)
+    path = existing_path("image", name)
+    return ImageSource(path, DEFAULT_RESOLUTION if resolution is None else resolution, options)

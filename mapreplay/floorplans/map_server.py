@@ -1,118 +1,62 @@
-"""ROS ``map_server`` maps: a YAML file that names an image, and how to read it.
-
-The modes are those of Nav2's ``nav2_map_server`` (``map_io.cpp``), reduced to the three
-values that our cells have: what lies between the two thresholds is unknown in every mode.
-"""
+"""ROS ``map_server`` maps: a YAML file that names an image, and how to read it."""
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from itertools import chain
+from pathlib import Path, PureWindowsPath
 from typing import Any, Final
 
-import numpy as np
-import numpy.typing as npt
 from ruamel.yaml import YAML
+from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent, NodeEvent
 
 from mapreplay.errors import FloorPlanError, UsageError
-from mapreplay.floorplan import FloorPlan
-from mapreplay.floorplans.files import brief, existing_path, read_limited, unique_ids
-from mapreplay.floorplans.pixels import OPAQUE, Pixels, read_pixels
-from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Grid, Origin
+from mapreplay.floorplan import Doubt, FloorPlan
+from mapreplay.floorplans.files import (
+    brief,
+    existing_path,
+    exists,
+    files_in,
+    folders_in,
+    is_link,
+    read_limited,
+    unique_ids,
+)
+from mapreplay.floorplans.greys import (
+    MODES,
+    NO_OPTIONS,
+    GreyOptions,
+    GreyRule,
+    GreyThresholds,
+    split_options,
+)
+from mapreplay.floorplans.pixels import read_pixels
+from mapreplay.floorplans.reading import Where, plan_of
+from mapreplay.grid import Origin
+from mapreplay.identify import identify
 
 ENDINGS: Final = (".yaml", ".yml")
 MAX_YAML_BYTES: Final = 64 << 10
+MAX_DEPTH: Final = 20
+MAX_EVENTS: Final = 5000
 REQUIRED: Final = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 
 _IMAGE_KEY: Final = re.compile(rb"^image\s*:", re.MULTILINE)
 
 
 @dataclass(frozen=True)
-class GreyThresholds:
-    """Occupied above `occupied`, free below `free`, unknown between and at them; 0 to 1."""
-
-    occupied: float = 0.65
-    free: float = 0.196
-
-
-@dataclass(frozen=True)
 class MapFile:
     """What a map_server YAML file says."""
 
-    image: Path
+    image: str
+    """As it is written there."""
     resolution: float
     """Metres a cell."""
     origin: Origin
-    negate: bool
-    """White is occupied."""
-    thresholds: GreyThresholds
-    mode: str
-    """A key of `MODES`."""
-
-
-def _trinary(pixels: Pixels, negate: bool, thresholds: GreyThresholds) -> Grid:  # noqa: FBT001
-    """An alpha channel counts as one more colour, as in Nav2 and in ROS 1 before it."""
-    channels = pixels.colour
-    if pixels.alpha is not None:
-        grey_or_colour = np.broadcast_to(channels, (*channels.shape[:2], 3))
-        channels = np.concatenate([grey_or_colour, pixels.alpha[..., None]], axis=2)
-    return _threshold(_darkness(channels, negate=negate), thresholds)
-
-
-def _scale(pixels: Pixels, negate: bool, thresholds: GreyThresholds) -> Grid:  # noqa: FBT001
-    """What is not opaque is unknown."""
-    cells = _threshold(_darkness(pixels.colour, negate=negate), thresholds)
-    if pixels.alpha is not None:
-        cells[pixels.alpha != OPAQUE] = UNKNOWN
-    return cells
-
-
-def _raw(pixels: Pixels, negate: bool, thresholds: GreyThresholds) -> Grid:  # noqa: ARG001, FBT001
-    """Pixels are percentages; above 100 they are unknown. Nothing is negated."""
-    percent = np.floor(_brightness(pixels.colour) * 255 + 0.5)
-    cells = _threshold(percent / 100, thresholds)
-    cells[percent > 100] = UNKNOWN
-    return cells
-
-
-MODES: Final[Mapping[str, Callable[[Pixels, bool, GreyThresholds], Grid]]] = {
-    "trinary": _trinary,
-    "scale": _scale,
-    "raw": _raw,
-}
-"""What turns pixels into cells, by the YAML's ``mode``."""
-
-
-def _brightness(channels: npt.NDArray[np.uint8]) -> npt.NDArray[np.float64]:
-    """float64[H, W], 0 to 1: the mean of the channels."""
-    sums: npt.NDArray[np.int64] = channels.sum(axis=2, dtype=np.int64)
-    mean: npt.NDArray[np.float64] = sums / (255 * channels.shape[2])
-    return mean
-
-
-def _darkness(channels: npt.NDArray[np.uint8], *, negate: bool) -> npt.NDArray[np.float64]:
-    """P(occupied), float64[H, W]. Inverted as integers, so that thresholds are met exactly."""
-    return _brightness(channels if negate else OPAQUE - channels)
-
-
-def _threshold(p_occupied: npt.NDArray[np.float64], thresholds: GreyThresholds) -> Grid:
-    cells = np.full(p_occupied.shape, UNKNOWN, np.int8)
-    cells[p_occupied < thresholds.free] = FREE
-    cells[p_occupied > thresholds.occupied] = OCCUPIED
-    return cells
-
-
-def to_cells(
-    pixels: Pixels,
-    mode: str = "trinary",
-    thresholds: GreyThresholds = GreyThresholds(),
-    *,
-    negate: bool = False,
-) -> Grid:
-    """int8[H, W] of -1, 0 and 100 from an image, by one of `MODES`."""
-    return MODES[mode](pixels, negate, thresholds)
+    rule: GreyRule
 
 
 def read_map_file(path: Path) -> MapFile:
@@ -121,9 +65,11 @@ def read_map_file(path: Path) -> MapFile:
     Raises:
         FloorPlanError: it cannot be read, or a key is missing or makes no sense.
     """
-    data = _parse_yaml(read_limited(path, MAX_YAML_BYTES), path)
+    content = read_limited(path, MAX_YAML_BYTES)
+    data = _parse_yaml(content, path)
     if not isinstance(data, dict):
-        raise FloorPlanError(f"{path}: not a map_server YAML file; expected keys and values")
+        what = identify(content) or "expected keys and values"
+        raise FloorPlanError(f"{path}: not a map_server YAML file; {what}")
     missing = [key for key in REQUIRED if key not in data]
     if missing:
         raise FloorPlanError(
@@ -136,35 +82,53 @@ def read_map_file(path: Path) -> MapFile:
     if resolution <= 0:
         raise _bad(path, "resolution", resolution, "a positive number of metres a cell")
     mode = data.get("mode", "trinary")
-    if not isinstance(mode, str) or mode not in MODES:
+    if not isinstance(mode, str) or mode.lower() not in MODES:
         raise _bad(path, "mode", mode, f"one of {', '.join(MODES)}")
     negate = data["negate"]
     if not isinstance(negate, (bool, int)) or negate not in (0, 1):
         raise _bad(path, "negate", negate, "0 or 1")
-    thresholds = GreyThresholds(
-        occupied=_number(path, data, "occupied_thresh"), free=_number(path, data, "free_thresh")
-    )
-    if not 0 <= thresholds.free <= thresholds.occupied <= 1:
-        raise FloorPlanError(
-            f"{path}: free_thresh {thresholds.free:g} and occupied_thresh "
-            f"{thresholds.occupied:g}: expected 0 <= free_thresh <= occupied_thresh <= 1"
-        )
+    occupied, free = _number(path, data, "occupied_thresh"), _number(path, data, "free_thresh")
+    try:
+        thresholds = GreyThresholds(occupied, free)
+    except ValueError as error:
+        raise FloorPlanError(f"{path}: {error}") from None
     return MapFile(
-        image=path.parent / image,
+        image=image,
         resolution=resolution,
         origin=_origin(path, data["origin"]),
-        negate=bool(negate),
-        thresholds=thresholds,
-        mode=mode,
+        rule=GreyRule(mode.lower(), thresholds, bool(negate)),
     )
 
 
 def _parse_yaml(content: bytes, path: Path) -> Any:
     try:
-        return YAML(typ="safe", pure=True).load(content.decode())
+        text = content.decode("utf-8-sig")
+        _check_events(text)
+        return YAML(typ="safe", pure=True).load(text)
     except Exception as error:  # odd tags make the parser fail with more than its own errors
         reason = str(getattr(error, "problem", None) or error).splitlines() or ["no reason given"]
-        raise FloorPlanError(f"{path}: not a YAML file ({reason[0][:100]})") from error
+        what = identify(content) or reason[0][:100]
+        raise FloorPlanError(f"{path}: not a YAML file of a map ({what})") from error
+
+
+def _check_events(text: str) -> None:
+    """Refuse what makes a small file a large value, before any value is made.
+
+    Raises:
+        ValueError: it refers to its own parts, or is nested too deeply or too long.
+        YAMLError: it is not YAML.
+    """
+    depth = 0
+    for count, event in enumerate(YAML(typ="safe", pure=True).parse(text)):
+        if isinstance(event, AliasEvent) or (isinstance(event, NodeEvent) and event.anchor):
+            raise ValueError("it has anchors or aliases (& and *); write the values themselves")
+        if getattr(event, "value", None) == "<<":
+            raise ValueError("it merges mappings (<<); write the keys themselves")
+        depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
+        if depth > MAX_DEPTH:
+            raise ValueError(f"it is nested more than {MAX_DEPTH} deep")
+        if count > MAX_EVENTS:
+            raise ValueError(f"it has more than {MAX_EVENTS} values and marks")
 
 
 def _bad(path: Path, key: str, value: object, expected: str) -> FloorPlanError:
@@ -202,8 +166,10 @@ class MapServerSource:
 
     default_predictor = "d2"
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, options: GreyOptions = NO_OPTIONS) -> None:
+        """`options` are used instead of what the YAML files say."""
         self._path = path
+        self._options = options
         self._files: dict[str, Path] | None = None
 
     def ids(self) -> Sequence[str]:
@@ -227,8 +193,24 @@ class MapServerSource:
         if path is None:
             raise FloorPlanError(f"{self._path}: holds no map {floor_plan_id}")
         file = read_map_file(path)
-        cells = to_cells(read_pixels(file.image), file.mode, file.thresholds, negate=file.negate)
-        return FloorPlan(floor_plan_id, cells, file.resolution, file.origin)
+        image, doubts = find_image(path, file.image)
+        try:
+            rule = self._options.applied_to(file.rule)
+            pixels = read_pixels(image)
+        except ValueError as error:
+            raise FloorPlanError(f"{path}: {error}") from None
+        except FloorPlanError as error:
+            raise FloorPlanError(f"{path}: its image {error}") from None
+        where = Where(path, str(self._path))
+        return plan_of(
+            floor_plan_id,
+            pixels,
+            rule,
+            file.resolution,
+            where,
+            origin=file.origin,
+            doubts=doubts,
+        )
 
     def _by_id(self) -> dict[str, Path]:
         if self._files is None:
@@ -239,18 +221,54 @@ class MapServerSource:
         return self._files
 
 
+def find_image(path: Path, image: str) -> tuple[Path, tuple[Doubt, ...]]:
+    """The file that the YAML file `path` means by `image`, and what is odd about that.
+
+    Where there is none, one of that name next to the YAML file is taken: files are copied
+    together to other machines, and to and from those that do not tell cases apart.
+
+    Raises:
+        FloorPlanError: there is none, nor one of that name next to the YAML file.
+    """
+    meant = path.parent / image
+    if exists(meant) or is_link(meant):
+        return meant, ()
+    name = PureWindowsPath(image).name  # what is behind the last / or backslash
+    beside = _no_yaml(path.parent)
+    same = [file for file in beside if file.name == name]
+    same += [file for file in beside if file.name.lower() == name.lower()]
+    if same:
+        text = f"its image {image} is not there; {same[0].name} next to it was taken"
+        return same[0], (Doubt("another image", text),)
+    stem = PureWindowsPath(name).stem.lower()
+    folders = [*folders_in(path.parent), path.absolute().parent.parent]
+    near = (file for folder in folders for file in _no_yaml(folder))
+    alike = next((file for file in chain(beside, near) if file.stem.lower() == stem), None)
+    hint = "copy it next to the YAML file"
+    if alike is not None:
+        hint = f"is it {os.path.relpath(alike, path.parent)}?"
+    raise FloorPlanError(f"{path}: its image {image} is not there; {hint}")
+
+
+def _no_yaml(folder: Path) -> list[Path]:
+    """The files in `folder` that may be images."""
+    return [file for file in files_in(folder) if file.suffix.lower() not in ENDINGS]
+
+
 def _name(path: Path) -> str:
     return path.absolute().parent.name if path.stem == "map" else path.stem
 
 
 def find_maps(folder: Path) -> list[Path]:
-    """The YAML files in `folder` and below that have a key ``image``, sorted.
+    """The YAML files in `folder` and below that have a key ``image``, sorted; no hidden ones.
 
     A file with that key that is not YAML is listed too, so that loading it says what is
     wrong; one that is not about a map is passed over.
+
+    Raises:
+        FloorPlanError: the folder cannot be read.
     """
-    paths = (path for path in folder.rglob("*") if path.suffix.lower() in ENDINGS)
-    return [path for path in sorted(paths) if _names_an_image(path)]
+    return [path for path in files_in(folder, ENDINGS, below=True) if _names_an_image(path)]
 
 
 def _names_an_image(path: Path) -> bool:
@@ -271,11 +289,12 @@ def open_source(rest: str, resolution: float | None) -> MapServerSource:
     """The source ``map_server``; see `mapreplay.plugins.Group.FLOORPLANS`.
 
     Raises:
-        UsageError: no path, or a resolution was asked for.
+        UsageError: no path, a resolution was asked for, or options that are none.
         FloorPlanError: there is no such file or folder.
     """
+    name, options = split_options(rest)
     if resolution is not None:
         raise UsageError(
             f"a map_server map has the resolution that its YAML file says, not {resolution}"
         )
-    return MapServerSource(existing_path("map_server", rest))
+    return MapServerSource(existing_path("map_server", name), options)

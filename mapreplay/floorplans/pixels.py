@@ -1,10 +1,15 @@
-"""PNG and PGM files as arrays: refused by their header before anything large is decoded."""
+"""PNG and PGM files as arrays: refused by their header before anything large is decoded.
+
+Whatever the file holds (colours, a palette, 1 to 16 bits, any maxval of a PGM) comes out as 8-bit
+greys, rounded as ImageMagick does it for Nav2's ``map_server``.
+"""
 
 from __future__ import annotations
 
 import re
 import struct
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -16,44 +21,55 @@ import numpy.typing as npt
 from mapreplay.errors import FloorPlanError
 from mapreplay.floorplan import MAX_SIDE
 from mapreplay.floorplans.files import read_limited
+from mapreplay.identify import unlike
 
-MAX_IMAGE_BYTES: Final = 96 << 20
-"""A PNG of 4096 x 4096 pixels with four incompressible channels is 64 MiB."""
+MAX_IMAGE_BYTES: Final = 192 << 20
+"""A PNG of 4096 x 4096 pixels with four incompressible channels of 16 bits is 128 MiB."""
 
 OPAQUE: Final = 255
+"""Alpha of a pixel that nothing shines through."""
 
 _PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
-_PNG_HEADER: Final = struct.Struct(">4sIIB")  # name of the chunk, width, height, bit depth
+_PNG_HEADER: Final = struct.Struct(">4sIIBB")  # name of the chunk, width, height, depth, colours
+_GREY: Final = 0
+"""PNG's colour type of a single grey channel."""
 _PGM_HEADER: Final = re.compile(rb"P[25]" + rb"(?:\s|#[^\n]*\n)+(\d{1,9})" * 3 + rb"\s")
+_LUMA_BGR: Final = (0.072186, 0.715158, 0.212656)
+"""How bright a colour is (Rec. 709), in OpenCV's order."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pixels:
     """An image with row 0 at the bottom, as in a grid."""
 
-    colour: npt.NDArray[np.uint8]
-    """uint8[H, W, C]: one grey channel, or three colours."""
+    grey: npt.NDArray[np.uint8]
+    """uint8[H, W]."""
     alpha: npt.NDArray[np.uint8] | None
-    """uint8[H, W]: 0 is transparent, 255 opaque; None if the file has no such channel."""
+    """uint8[H, W]: 0 is transparent, 255 opaque; None if the file has no transparency."""
 
 
 def read_pixels(path: Path) -> Pixels:
-    """Read an 8-bit PNG or PGM (binary or ASCII) of at most 4096 pixels along a side.
+    """Read a PNG or PGM (binary or ASCII) of at most 4096 pixels along a side.
 
     Raises:
         FloorPlanError: there is no such file, or it is too large, damaged or something else.
     """
     content = read_limited(path, MAX_IMAGE_BYTES)
     if content.startswith(_PNG_SIGNATURE):
-        image = _decode_png(content, path)
+        grey, alpha = _decode_png(content, path)
     elif content.startswith((b"P2", b"P5")):
-        image = _decode_pgm(content, path)
+        grey, alpha = _decode_pgm(content, path), None
     else:
-        raise FloorPlanError(f"{path}: not a PNG or PGM image")
-    upright = np.ascontiguousarray(image[::-1])
-    if upright.shape[2] == 4:
-        return Pixels(upright[..., :3], upright[..., 3])
-    return Pixels(upright, None)
+        raise FloorPlanError(unlike(path, "a PNG or PGM image", content))
+    upright = np.ascontiguousarray(grey[::-1])
+    return Pixels(upright, None if alpha is None else np.ascontiguousarray(alpha[::-1]))
+
+
+def _eight_bits(values: npt.NDArray[np.uint16], white: int) -> npt.NDArray[np.uint8]:
+    """`values` of 0 to `white` as 0 to 255, rounded."""
+    table = (np.arange(white + 1) * 510 + white) // (2 * white)
+    scaled: npt.NDArray[np.uint8] = table.astype(np.uint8)[values]
+    return scaled
 
 
 def _check_size(width: int, height: int, path: Path) -> None:
@@ -63,23 +79,48 @@ def _check_size(width: int, height: int, path: Path) -> None:
         )
 
 
-def _decode_png(content: bytes, path: Path) -> npt.NDArray[np.uint8]:
+def _decode_png(
+    content: bytes, path: Path
+) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8] | None]:
+    """Greys and alpha (None without transparency), uint8[H, W] each, the top row first."""
     header = content[12 : 12 + _PNG_HEADER.size]
     if len(header) < _PNG_HEADER.size or not header.startswith(b"IHDR"):
         raise FloorPlanError(f"{path}: a damaged PNG image (no header)")
-    _, width, height, depth = _PNG_HEADER.unpack(header)
+    _, width, height, depth, colours = _PNG_HEADER.unpack(header)
     _check_size(width, height, path)
-    if depth > 8:
-        raise FloorPlanError(f"{path}: {depth} bits a channel; save it as an 8-bit PNG")
     if not _png_is_whole(content):
         raise FloorPlanError(f"{path}: a damaged or truncated PNG image")
     try:
         image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         image = None
-    if image is None or image.shape[:2] != (height, width) or image.dtype != np.uint8:
+    kind = np.uint16 if depth == 16 else np.uint8
+    if image is None or image.shape[:2] != (height, width) or image.dtype != kind:
         raise FloorPlanError(f"{path}: a damaged PNG image")
-    return np.asarray(image, np.uint8).reshape(height, width, -1)
+    channels: npt.NDArray[np.uint16] = image.reshape(height, width, -1).astype(np.uint16)
+    white = int(np.iinfo(kind).max)
+    if channels.shape[2] == 1:
+        grey = channels[..., 0]
+        alpha = _clear_grey(content, grey, depth, colours)
+    else:
+        luma = sum(channels[..., i] * weight for i, weight in enumerate(_LUMA_BGR))
+        grey = np.rint(luma).astype(np.uint16)
+        alpha = channels[..., 3] if channels.shape[2] == 4 else None
+    return _eight_bits(grey, white), None if alpha is None else _eight_bits(alpha, white)
+
+
+def _clear_grey(
+    content: bytes, grey: npt.NDArray[np.uint16], depth: int, colours: int
+) -> npt.NDArray[np.uint16] | None:
+    """The alpha of a grey PNG that calls one grey transparent (tRNS), which OpenCV passes over."""
+    sample = dict(_png_chunks(content)).get(b"tRNS", b"")
+    if colours != _GREY or len(sample) != 2:
+        return None
+    # OpenCV spreads 1, 2 and 4 bits over 8.
+    scale = 1 if depth >= 8 else 255 // ((1 << depth) - 1)
+    clear = int.from_bytes(sample) * scale
+    white = 65535 if depth == 16 else 255
+    return np.where(grey == clear, np.uint16(0), np.uint16(white))
 
 
 def _png_is_whole(content: bytes) -> bool:
@@ -87,44 +128,55 @@ def _png_is_whole(content: bytes) -> bool:
 
     OpenCV returns what it has of some damaged images, and prints about others.
     """
+    return any(name == b"IEND" for name, _ in _png_chunks(content))
+
+
+def _png_chunks(content: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """Names and contents of the chunks up to the first one that is damaged or cut off."""
     at = len(_PNG_SIGNATURE)
     while at + 12 <= len(content):
         (length,) = struct.unpack_from(">I", content, at)
         end = at + 8 + length
         if end + 4 > len(content):
-            return False
+            return
         if zlib.crc32(content[at + 4 : end]) != struct.unpack_from(">I", content, end)[0]:
-            return False
-        if content[at + 4 : at + 8] == b"IEND":
-            return True
+            return
+        yield content[at + 4 : at + 8], content[at + 8 : end]
         at = end + 4
-    return False
 
 
 def _decode_pgm(content: bytes, path: Path) -> npt.NDArray[np.uint8]:
+    """uint8[H, W], the top row first."""
     header = _PGM_HEADER.match(content)
     if header is None:
         raise FloorPlanError(f"{path}: a damaged PGM image (no header)")
-    width, height, brightest = map(int, header.groups())
+    width, height, white = map(int, header.groups())
     _check_size(width, height, path)
-    if brightest != 255:
-        raise FloorPlanError(f"{path}: its white is {brightest}; save it as an 8-bit PGM (255)")
+    if not 1 <= white <= 65535:
+        raise FloorPlanError(f"{path}: a damaged PGM image (its white is {white}, not 1 to 65535)")
     body = memoryview(content)[header.end() :]
     if content.startswith(b"P5"):
-        values = np.frombuffer(body, np.uint8)[: width * height]
+        kind = np.dtype(np.uint8 if white < 256 else ">u2")
+        there = min(len(body) // kind.itemsize, width * height)
+        values = np.frombuffer(body, kind, there).astype(np.uint16)
     else:
-        values = _ascii_values(bytes(body), width * height, path)
+        values = _ascii_values(bytes(body), width * height, white, path)
     if values.size < width * height:
         raise FloorPlanError(
             f"{path}: truncated, {values.size} of {width} x {height} pixels are there"
         )
-    return values[: width * height].reshape(height, width, 1)
+    if values.max() > white:
+        raise FloorPlanError(
+            f"{path}: a damaged PGM image (a pixel is {values.max()}, its white is {white})"
+        )
+    return _eight_bits(values, white).reshape(height, width)
 
 
-def _ascii_values(body: bytes, count: int, path: Path) -> npt.NDArray[np.uint8]:
+def _ascii_values(body: bytes, count: int, white: int, path: Path) -> npt.NDArray[np.uint16]:
     words = body.split(maxsplit=count)[:count]
-    legal = {str(value).encode(): value for value in range(256)}
+    legal = {str(value).encode(): value for value in range(white + 1)}
     try:
-        return np.fromiter((legal[word] for word in words), np.uint8, len(words))
+        return np.fromiter((legal[word] for word in words), np.uint16, len(words))
     except KeyError as error:
-        raise FloorPlanError(f"{path}: {error.args[0][:20]!r} is not a grey value 0..255") from None
+        word = error.args[0][:20]
+        raise FloorPlanError(f"{path}: {word!r} is not a grey value 0..{white}") from None

@@ -17,6 +17,7 @@ from safetensors.torch import save
 
 from mapreplay.errors import WeightsError
 from mapreplay.files import whole_path
+from mapreplay.identify import SAFETENSORS, identify_file
 
 MAX_BYTES: Final = 256 << 20
 
@@ -132,7 +133,8 @@ def load_tensors(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
     except OSError as error:
         raise WeightsError(f"{path}: cannot be read ({error.strerror or error})") from None
     except (SafetensorError, ValueError) as error:
-        reason = " ".join(str(error).split())[:120]
+        what = identify_file(path)
+        reason = " ".join(str(error).split())[:120] if what in (None, SAFETENSORS) else what
         raise WeightsError(f"{path}: not a safetensors file ({reason})") from None
 
 

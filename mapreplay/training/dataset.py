@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Final
 
@@ -12,8 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from mapreplay.errors import FloorPlanError
-from mapreplay.floorplan import FloorPlan, explorable
+from mapreplay.floorplan import Doubt, FloorPlan, explorable
 from mapreplay.floorplans import FloorPlanSource, load_each
+from mapreplay.floorplans.plausibility import examine
 from mapreplay.grid import UNKNOWN, Cell, Grid, Mask
 from mapreplay.predictors.network import STRIDE_MULTIPLE, pad_to_multiple
 from mapreplay.randomness import Draws, Purpose
@@ -59,6 +60,10 @@ class TrainingPlan:
     is none, observations are simulated."""
     id: str = ""
     """Of the floor plan, for messages."""
+    where: str = ""
+    """What a message calls the floor plan."""
+    doubts: tuple[Doubt, ...] = ()
+    """Why it may not be what was meant."""
 
     @property
     def runs(self) -> int:
@@ -129,7 +134,8 @@ def load_plans(
         elif min(plan.shape) < MIN_SIDE:
             yield FloorPlanError(f"floor plan {plan.id}: under {MIN_SIDE} cells along a side")
         else:
-            yield prepare_plan(numbers[floor_plan_id], plan)
+            prepared = prepare_plan(numbers[floor_plan_id], plan)
+            yield replace(prepared, where=plan.where, doubts=examine(plan))
 
 
 def padded_shape(plan: TrainingPlan) -> tuple[int, int]:

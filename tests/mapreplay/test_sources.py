@@ -129,9 +129,15 @@ def test_what_is_neither_a_source_nor_a_path_lists_what_is_understood(spec: str)
         open_source(spec)
 
 
-@pytest.mark.parametrize("name", ["nothing", "nothing/README.txt"])
-def test_what_is_not_a_floor_plan_lists_what_is_understood(folder: Path, name: str) -> None:
-    with pytest.raises(UsageError, match=f"{name}: not a floor plan") as caught:
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [("nothing", "not a folder of floor plans, it holds 1 .txt file"),
+     ("nothing/README.txt", "not a floor plan")],
+)  # fmt: skip
+def test_what_is_not_a_floor_plan_lists_what_is_understood(
+    folder: Path, name: str, reason: str
+) -> None:
+    with pytest.raises(UsageError, match=f"{name}: {reason}") as caught:
         open_source(str(folder / name))
     for known in ("procedural", "houseexpo", "map_server", "image", ".tar.gz", ".yaml", ".png"):
         assert known in str(caught.value)
@@ -170,7 +176,10 @@ def test_an_id_list_has_blank_lines_and_comments(tmp_path: Path) -> None:
         (b"a\n../b\n", "line 2: '../b' is not an id"),
         (b"a b\n", "line 1: 'a b' is not an id"),
         (b"x" * 129, "line 1: 'x*' is not an id"),
-        (b"\xff\xfe\x00\x80", "not a text file"),
+        (b"\xff\x00\x80", "not a text file"),
+        ("a\n".encode("utf-16"), "UTF-16 text"),
+        (b"\x89PNG\r\n\x1a\n", "not a list of ids: a PNG image"),
+        (b"version https://git-lfs.github.com/spec/v1\n", "Git LFS pointer"),
         (b"a\n" * 1_000_001, "1000001 lines; at most 1000000"),
     ],
 )

@@ -1,0 +1,250 @@
+"""From an image to a floor plan, with what is doubtful about its greys."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from mapreplay.errors import FloorPlanError
+from mapreplay.floorplan import Doubt, FloorPlan
+from mapreplay.floorplans.greys import GreyRule, GreyThresholds
+from mapreplay.floorplans.pixels import OPAQUE, Pixels
+from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Grid, Origin
+
+NOT_UNDERSTOOD: Final = ("transparent", "mode raw", "greys between the thresholds")
+"""Kinds of doubts about pixels that are neither free nor occupied."""
+CORNER: Final = Origin(0.0, 0.0)
+SAVED_UNKNOWN: Final = 205
+"""The grey that every map saver writes for unknown."""
+_MIDDLE: Final = range(127, 130)
+"""Greys that some programs write for unknown."""
+_PEAK: Final = 0.01
+"""Share of the pixels that a grey has at least to be one of those that an image consists of."""
+_FEW: Final = 0.001
+_APART: Final = 8
+"""Greys that are closer to each other are one, blurred."""
+
+
+def to_cells(pixels: Pixels, rule: GreyRule) -> Grid:
+    """int8[H, W] of -1, 0 and 100. What is not opaque is unknown, but in mode raw."""
+    cells: Grid = rule.table()[pixels.grey]
+    if pixels.alpha is not None and rule.mode != "raw":
+        cells[pixels.alpha != OPAQUE] = UNKNOWN
+    return cells
+
+
+@dataclass(frozen=True)
+class Where:
+    """What a floor plan was read from."""
+
+    file: Path
+    """For messages: the YAML file, or the image that has none."""
+    spec: str
+    """What was opened, to be repeated with options."""
+
+    def repeated(self, options: str) -> str:
+        """The specification with other options, to be copied into a shell."""
+        return shlex.quote(f"{self.spec}:{options}")
+
+
+def plan_of(
+    floor_plan_id: str,
+    pixels: Pixels,
+    rule: GreyRule,
+    resolution: float,
+    where: Where,
+    *,
+    origin: Origin = CORNER,
+    doubts: Sequence[Doubt] = (),
+) -> FloorPlan:
+    """The floor plan of an image, with what is doubtful about its greys.
+
+    Args:
+        floor_plan_id: Its id.
+        pixels: The image.
+        rule: How its greys become cells.
+        resolution: Metres a cell.
+        where: What it was read from.
+        origin: Of its bottom left corner.
+        doubts: What is doubtful beside the greys.
+
+    Raises:
+        FloorPlanError: no cell is free, or none is a wall and most pixels were not understood,
+            or the resolution makes no sense; names the file.
+    """
+    cells = to_cells(pixels, rule)
+    doubts = (*doubts, *grey_doubts(pixels, rule, where))
+    problem = None
+    if not (cells == FREE).any():
+        problem = "no free cell"
+    elif not (cells == OCCUPIED).any() and 2 * int((cells == FREE).sum()) < cells.size:
+        # What is free may be a mark in a map of which nothing else was understood.
+        problem = "no wall" if any(doubt.kind in NOT_UNDERSTOOD for doubt in doubts) else None
+    if problem is not None:
+        raise FloorPlanError("; ".join([f"{where.file}: {problem}", *(d.text for d in doubts)]))
+    try:
+        return FloorPlan(
+            floor_plan_id, cells, resolution, origin, file=str(where.file), doubts=doubts
+        )
+    except FloorPlanError as error:
+        raise FloorPlanError(f"{where.file}: {error}") from None
+
+
+def grey_doubts(pixels: Pixels, rule: GreyRule, where: Where) -> tuple[Doubt, ...]:
+    """Why the greys of an image may mean something else than what `rule` makes of them."""
+    opaque = pixels.grey
+    if pixels.alpha is not None and rule.mode != "raw":
+        opaque = pixels.grey[pixels.alpha == OPAQUE]
+    counts = np.bincount(opaque.ravel(), minlength=256)
+    seen = _Greys(counts, rule, pixels.grey.size, where)
+    doubts = (
+        seen.transparent(), seen.over_hundred(), seen.between(), seen.one_sided(),
+        seen.saved_unknown(),
+    )  # fmt: skip
+    return tuple(doubt for doubt in doubts if doubt is not None)
+
+
+@dataclass(frozen=True, eq=False)
+class _Greys:
+    """How often each grey is there, and the questions about it."""
+
+    counts: npt.NDArray[np.int64]
+    """int64[256], of opaque pixels."""
+    rule: GreyRule
+    pixels: int
+    where: Where
+
+    def count(self, cell: int) -> int:
+        """Opaque pixels that become `cell`."""
+        return int(self.counts[self.rule.table() == cell].sum())
+
+    def transparent(self) -> Doubt | None:
+        """Most pixels are clear."""
+        clear = self.pixels - int(self.counts.sum())
+        if 2 * clear <= self.pixels and (not clear or self.count(FREE)):
+            return None
+        return Doubt(
+            "transparent",
+            f"{clear} of {self.pixels} pixels are transparent, which is unknown; where that means "
+            "free, fill the background of the image with white",
+        )
+
+    def over_hundred(self) -> Doubt | None:
+        """An image of greys that is read as one of percentages."""
+        over = int(self.counts[101:255].sum())
+        if self.rule.mode != "raw" or over <= _PEAK * self.pixels:
+            return None
+        return Doubt(
+            "mode raw",
+            f"{over} of {self.pixels} pixels are over 100, which is no percentage and unknown in "
+            "mode raw; if they are greys, say mode: trinary",
+        )
+
+    def between(self) -> Doubt | None:
+        """Most pixels are neither dark nor light enough, or nothing else is dark or light."""
+        table = self.rule.table()
+        inner = np.where(table == UNKNOWN, self.counts, 0)
+        inner[SAVED_UNKNOWN] = 0
+        if self.rule.mode == "raw":
+            inner[101:] = 0
+        total = int(inner.sum())
+        walls, free = self.count(OCCUPIED), self.count(FREE)
+        top = int(inner.argmax())
+        usual = (
+            top in _MIDDLE and inner[top] >= 0.95 * total and walls and free >= _PEAK * self.pixels
+        )
+        if usual or not (
+            2 * total > self.pixels or (not (walls and free) and total >= _PEAK * self.pixels)
+        ):
+            return None
+        return Doubt(
+            "greys between the thresholds",
+            f"{total} of {self.pixels} pixels have {_list(inner)}, between {self._limits()}, and "
+            f"count as unknown; if they are not, {self._cure()}",
+        )
+
+    def one_sided(self) -> Doubt | None:
+        """All that is there is dark, or light."""
+        if self.between() is not None or not self.counts.any():
+            return None
+        if self.count(FREE) and self.count(OCCUPIED):
+            return None
+        lacking = "free" if not self.count(FREE) else "occupied"
+        greys = np.flatnonzero(self.counts)
+        return Doubt(
+            "no free pixel" if lacking == "free" else "no wall",
+            f"no pixel is {lacking}: the greys go from {greys[0]} to {greys[-1]}, with "
+            f"{self._limits()}; if that is not what is meant, {self._cure()}",
+        )
+
+    def saved_unknown(self) -> Doubt | None:
+        """What map savers write for unknown is something else here."""
+        cell = int(self.rule.table()[SAVED_UNKNOWN])
+        there = int(self.counts[SAVED_UNKNOWN])
+        near = self.counts[SAVED_UNKNOWN - 1] + self.counts[SAVED_UNKNOWN + 1]
+        if self.rule.mode == "raw" or cell == UNKNOWN:
+            return None
+        if there <= near or there < _FEW * self.pixels:
+            return None
+        thresholds = self.rule.thresholds
+        if cell == OCCUPIED:
+            why = "negate: 1" if self.rule.negate else f"occupied_thresh {thresholds.occupied:g}"
+            cure = "choose others"
+        elif thresholds.free > GreyThresholds.free:
+            why = f"free_thresh {thresholds.free:g}"
+            cure = f"{GreyThresholds.free} keeps them unknown"
+            if self.rule.mode == "trinary":
+                option = self.where.repeated(f"free={GreyThresholds.free}")
+                cure += f", in the YAML file or as {option}"
+            else:
+                cure += " in mode trinary"
+        else:
+            why, cure = f"mode {self.rule.mode}", "mode trinary keeps them unknown"
+        return Doubt(
+            f"unknown read as {'free' if cell == FREE else 'occupied'}",
+            f"{there} of {self.pixels} pixels have the grey {SAVED_UNKNOWN}, which map savers "
+            f"write for unknown, and count as {'free' if cell == FREE else 'occupied'} by {why}; "
+            f"{cure}",
+        )
+
+    def _limits(self) -> str:
+        """The greys that are free and those that are occupied, in words."""
+        table = self.rule.table()
+        words = []
+        for name, cell in (("free", FREE), ("occupied", OCCUPIED)):
+            greys = np.flatnonzero(table == cell)
+            if not len(greys):
+                words.append(f"{name} (no grey)")
+            elif greys[0] == 0:
+                words.append(f"{name} (below {greys[-1] + 1})")
+            else:
+                words.append(f"{name} (above {greys[0] - 1})")
+        return " and ".join(words)
+
+    def _cure(self) -> str:
+        """How to choose thresholds, with numbers that part the greys of this image."""
+        p = self.rule.p_occupied()
+        levels: list[float] = []
+        for grey in sorted(np.flatnonzero(self.counts >= _PEAK * self.pixels), key=p.__getitem__):
+            if p[grey] <= 1 and (not levels or p[grey] - levels[-1] >= _APART / 255):
+                levels.append(float(p[grey]))
+        if len(levels) < 2:
+            return f"choose thresholds, as in {self.where.repeated('free=F,occupied=O')}"
+        free = round((levels[0] + levels[1]) / 2, 2)
+        occupied = round((levels[-1] + levels[-2]) / 2, 2)
+        option = self.where.repeated(f"free={free:g},occupied={occupied:g}")
+        return f"choose thresholds, such as {option}"
+
+
+def _list(counts: npt.NDArray[np.int64]) -> str:
+    """The three commonest greys in words, such as "the grey 127 or 195"."""
+    common = [int(grey) for grey in np.argsort(-counts, kind="stable")[:3] if counts[grey]]
+    *most, last = map(str, sorted(common))
+    text = f"{', '.join(most)} or {last}" if most else last
+    return f"greys such as {text}" if np.count_nonzero(counts) > 3 else f"the grey {text}"
