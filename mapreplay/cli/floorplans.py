@@ -48,7 +48,7 @@ def floorplans(
     output: OutputOption = None,
     force: ForceOption = False,
 ) -> None:
-    """List, describe and preview floor plans, and say what is odd about them.
+    """List, describe, preview and check floor plans.
 
     Exit code 0: all were read, 3: some were left out, 1: none was read.
     """

@@ -26,6 +26,7 @@ from mapreplay.identify import identify, identify_file
 
 MAX_IDS: Final = 1_000_000
 _MAX_ID_LIST_BYTES: Final = 160 << 20
+_MAX_IDENTIFIED: Final = 100
 
 
 class FloorPlanSource(Protocol):
@@ -153,8 +154,8 @@ def _contents(folder: Path) -> str:
     if not files:
         return "it holds no file"
     endings = Counter(path.suffix.lower() or "other" for path in files)
-    for path in files:
-        what = identify_file(path) if path.suffix.lower() in ENDINGS else None
+    for path in files[:_MAX_IDENTIFIED]:
+        what = identify_file(path)
         if what is not None:
             return f"{path} is {what}"
     kinds = " and ".join(f"{count} {ending}" for ending, count in endings.most_common(3))

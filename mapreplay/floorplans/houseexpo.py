@@ -82,7 +82,10 @@ def parse_house(text: bytes, name: str) -> House:
     vertices = np.array(verts, np.float64)
     extent = float(np.ptp(vertices, axis=0).max())
     if extent > MAX_METRES:
-        raise FloorPlanError(f"{name}: {extent:.4g} m across; at most {MAX_METRES:g} m are allowed")
+        raise FloorPlanError(
+            f"{name}: {extent:.4g} m across, at most {MAX_METRES:g} are "
+            "allowed; 'verts' are in metres"
+        )
     return House(house_id, vertices)
 
 

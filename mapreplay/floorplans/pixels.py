@@ -65,6 +65,20 @@ def read_pixels(path: Path) -> Pixels:
     return Pixels(upright, None if alpha is None else np.ascontiguousarray(alpha[::-1]))
 
 
+def _greys(values: npt.NDArray[np.uint16], white: int, path: Path) -> npt.NDArray[np.uint8]:
+    """`values` of 0 to `white` as greys of 0 to 255.
+
+    Raises:
+        FloorPlanError: they are values of 8 bits in a file of 16: all would be black.
+    """
+    if white > 255 and values.max() <= 255:
+        raise FloorPlanError(
+            f"{path}: white is {white}, and no pixel is over {values.max()}: values of 8 bits in "
+            "a file of 16; save it as an 8-bit image"
+        )
+    return _eight_bits(values, white)
+
+
 def _eight_bits(values: npt.NDArray[np.uint16], white: int) -> npt.NDArray[np.uint8]:
     """`values` of 0 to `white` as 0 to 255, rounded."""
     table = (np.arange(white + 1) * 510 + white) // (2 * white)
@@ -106,7 +120,7 @@ def _decode_png(
         luma = sum(channels[..., i] * weight for i, weight in enumerate(_LUMA_BGR))
         grey = np.rint(luma).astype(np.uint16)
         alpha = channels[..., 3] if channels.shape[2] == 4 else None
-    return _eight_bits(grey, white), None if alpha is None else _eight_bits(alpha, white)
+    return _greys(grey, white, path), None if alpha is None else _eight_bits(alpha, white)
 
 
 def _clear_grey(
@@ -169,7 +183,7 @@ def _decode_pgm(content: bytes, path: Path) -> npt.NDArray[np.uint8]:
         raise FloorPlanError(
             f"{path}: a damaged PGM image (a pixel is {values.max()}, its white is {white})"
         )
-    return _eight_bits(values, white).reshape(height, width)
+    return _greys(values, white, path).reshape(height, width)
 
 
 def _ascii_values(body: bytes, count: int, white: int, path: Path) -> npt.NDArray[np.uint16]:

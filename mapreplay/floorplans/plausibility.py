@@ -30,7 +30,8 @@ LARGEST_CELL: Final = 1.0
 LARGEST_SIDE: Final = 5000.0
 """Metres."""
 THIN: Final = 4
-"""Cells from the nearest wall: all that is free is so near where white is wall, as in a drawing."""
+"""Cells from the nearest wall: all that is free is so near where white is wall, as in a drawing;
+or farther in a large image, if hardly anything is free and what is wall is much thicker."""
 LINES: Final = 5
 """Shown one by one; of more doubtful plans a summary is."""
 
@@ -47,7 +48,7 @@ def check_explorable(plan: FloorPlan, start: Cell | None = None) -> Mask:
     labels, _ = ndimage.label(plan.cells == FREE, structure=_EIGHT)
     region: Mask = labels == labels[start]
     if region.sum() <= 1:
-        alone = f"only the start {start.row},{start.col} is free and can be reached"
+        alone = f"no cell can be reached from the start {start.row},{start.col}"
         why = [f"{plan.where}: nothing to explore, {alone}", *(d.text for d in plan.doubts)]
         raise FloorPlanError("; ".join(why))
     return region
@@ -60,7 +61,9 @@ def examine(plan: FloorPlan, start: Cell | None = None) -> tuple[Doubt, ...]:
         FloorPlanError: see `check_explorable`.
     """
     region = check_explorable(plan, start)
-    return (*plan.doubts, *_of_cells(plan, plan.check_start(start), region))
+    told = {doubt.kind for doubt in plan.doubts}
+    found = _of_cells(plan, plan.check_start(start), region)
+    return (*plan.doubts, *(doubt for doubt in found if doubt.kind not in told))
 
 
 def _of_cells(plan: FloorPlan, start: Cell, region: Mask) -> Iterator[Doubt]:
@@ -79,8 +82,8 @@ def _of_cells(plan: FloorPlan, start: Cell, region: Mask) -> Iterator[Doubt]:
     elif _is_inverted(plan, walls, free):
         yield Doubt(
             "perhaps inverted",
-            f"{walls} cells are walls and the {free} free ones are thin lines; if white means "
-            "wall, negate it (negate: 1 in the YAML file, or IMAGE:negate=1)",
+            f"{walls} cells are walls and the {free} free ones are thin lines; if black and white "
+            "are the wrong way round, change negate (in the YAML file, or as in PATH:negate=1)",
         )
     if unknown >= ALMOST_ALL_UNKNOWN * cells.size:
         yield Doubt("almost all unknown", f"{unknown} of {cells.size} cells are unknown")
@@ -138,8 +141,8 @@ def _is_inverted(plan: FloorPlan, walls: int, free: int) -> bool:
         depth = ndimage.distance_transform_cdt(there, "chessboard")
         return float(np.quantile(depth[there], 0.99))
 
-    thin = thickness(FREE)
-    return thin <= THIN and thickness(OCCUPIED) >= 5 * thin
+    thin, thick = thickness(FREE), thickness(OCCUPIED)
+    return (thin <= THIN and thick >= 5 * thin) or (walls >= 6 * free and thick >= 10 * thin)
 
 
 def warning_lines(names: Sequence[str], doubts: Sequence[Sequence[Doubt]]) -> list[str]:

@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 
 from mapreplay.errors import FloorPlanError
 from mapreplay.floorplan import Doubt, FloorPlan
@@ -26,9 +27,11 @@ _MIDDLE: Final = range(127, 130)
 """Greys that some programs write for unknown."""
 _PEAK: Final = 0.01
 """Share of the pixels that a grey has at least to be one of those that an image consists of."""
+_EVEN: Final = 0.6
+"""Smaller gap between three levels, to the larger one, from which on the middle one is unknown."""
 _FEW: Final = 0.001
-_APART: Final = 8
-"""Greys that are closer to each other are one, blurred."""
+_APART: Final = 9
+"""Of greys that are closer to each other than about half of it, the commonest counts."""
 
 
 def to_cells(pixels: Pixels, rule: GreyRule) -> Grid:
@@ -102,12 +105,13 @@ def grey_doubts(pixels: Pixels, rule: GreyRule, where: Where) -> tuple[Doubt, ..
     if pixels.alpha is not None and rule.mode != "raw":
         opaque = pixels.grey[pixels.alpha == OPAQUE]
     counts = np.bincount(opaque.ravel(), minlength=256)
+    if not counts.any():
+        text = f"all of the {pixels.grey.size} pixels are transparent, which is unknown"
+        return (Doubt("transparent", text),)
     seen = _Greys(counts, rule, pixels.grey.size, where)
-    doubts = (
-        seen.transparent(), seen.over_hundred(), seen.between(), seen.one_sided(),
-        seen.saved_unknown(),
-    )  # fmt: skip
-    return tuple(doubt for doubt in doubts if doubt is not None)
+    lost = [d for d in (seen.transparent(), seen.over_hundred(), seen.between()) if d is not None]
+    others = (None if lost else seen.one_sided(), seen.saved_unknown())
+    return (*lost, *(d for d in others if d is not None))
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,34 +157,34 @@ class _Greys:
         inner[SAVED_UNKNOWN] = 0
         if self.rule.mode == "raw":
             inner[101:] = 0
-        total = int(inner.sum())
+        total, rest = int(inner.sum()), self.pixels - int(self.counts[SAVED_UNKNOWN])
         walls, free = self.count(OCCUPIED), self.count(FREE)
         top = int(inner.argmax())
         usual = (
             top in _MIDDLE and inner[top] >= 0.95 * total and walls and free >= _PEAK * self.pixels
         )
         if usual or not (
-            2 * total > self.pixels or (not (walls and free) and total >= _PEAK * self.pixels)
+            2 * total > rest or (not (walls and free) and total >= _PEAK * self.pixels)
         ):
             return None
         return Doubt(
             "greys between the thresholds",
             f"{total} of {self.pixels} pixels have {_list(inner)}, between {self._limits()}, and "
-            f"count as unknown; if they are not, {self._cure()}",
+            f"count as unknown; {self._cure()}",
         )
 
     def one_sided(self) -> Doubt | None:
         """All that is there is dark, or light."""
-        if self.between() is not None or not self.counts.any():
-            return None
         if self.count(FREE) and self.count(OCCUPIED):
             return None
         lacking = "free" if not self.count(FREE) else "occupied"
         greys = np.flatnonzero(self.counts)
+        there = f"the greys go from {greys[0]} to {greys[-1]}"
+        if len(greys) == 1:
+            there = f"the only grey is {greys[0]}"
         return Doubt(
             "no free pixel" if lacking == "free" else "no wall",
-            f"no pixel is {lacking}: the greys go from {greys[0]} to {greys[-1]}, with "
-            f"{self._limits()}; if that is not what is meant, {self._cure()}",
+            f"no pixel is {lacking}: {there}, with {self._limits()}; {self._cure()}",
         )
 
     def saved_unknown(self) -> Doubt | None:
@@ -195,7 +199,7 @@ class _Greys:
         thresholds = self.rule.thresholds
         if cell == OCCUPIED:
             why = "negate: 1" if self.rule.negate else f"occupied_thresh {thresholds.occupied:g}"
-            cure = "choose others"
+            cure = "negate: 0 keeps them unknown" if self.rule.negate else "0.65 keeps them unknown"
         elif thresholds.free > GreyThresholds.free:
             why = f"free_thresh {thresholds.free:g}"
             cure = f"{GreyThresholds.free} keeps them unknown"
@@ -230,16 +234,19 @@ class _Greys:
     def _cure(self) -> str:
         """How to choose thresholds, with numbers that part the greys of this image."""
         p = self.rule.p_occupied()
-        levels: list[float] = []
-        for grey in sorted(np.flatnonzero(self.counts >= _PEAK * self.pixels), key=p.__getitem__):
-            if p[grey] <= 1 and (not levels or p[grey] - levels[-1] >= _APART / 255):
-                levels.append(float(p[grey]))
+        smooth = ndimage.maximum_filter1d(self.counts, _APART, mode="constant")
+        peaks = (self.counts >= _PEAK * self.pixels) & (self.counts == smooth) & (p <= 1)
+        peaks[SAVED_UNKNOWN] = False
+        levels = np.unique(p[peaks])
         if len(levels) < 2:
-            return f"choose thresholds, as in {self.where.repeated('free=F,occupied=O')}"
-        free = round((levels[0] + levels[1]) / 2, 2)
-        occupied = round((levels[-1] + levels[-2]) / 2, 2)
-        option = self.where.repeated(f"free={free:g},occupied={occupied:g}")
-        return f"choose thresholds, such as {option}"
+            return "there are no two greys that could be free and occupied"
+        gaps = np.diff(levels)
+        if len(levels) == 3 and gaps.min() >= _EVEN * gaps.max():  # free, unknown and occupied
+            free, occupied = levels[:2].mean(), levels[1:].mean()
+        else:
+            free = occupied = levels[gaps.argmax() :][:2].mean()
+        option = self.where.repeated(f"free={free:.2f},occupied={occupied:.2f}")
+        return f"if that is not what is meant, choose thresholds, such as {option}"
 
 
 def _list(counts: npt.NDArray[np.int64]) -> str:

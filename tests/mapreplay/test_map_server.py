@@ -6,19 +6,22 @@ import struct
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
 from drawing import show
 from mapreplay.errors import FloorPlanError, UsageError
 from mapreplay.floorplan import explorable
 from mapreplay.floorplans.greys import GreyRule
 from mapreplay.floorplans.map_server import MapServerSource, open_source, read_map_file
-from mapreplay.floorplans.pixels import read_pixels
+from mapreplay.floorplans.pixels import Pixels, read_pixels
 from mapreplay.floorplans.reading import to_cells
 from mapreplay.grid import FREE, OCCUPIED, UNKNOWN
 
@@ -244,6 +247,160 @@ def test_an_image_file_that_cannot_be_read(tmp_path: Path) -> None:
     (tmp_path / "map.png").mkdir()
     with pytest.raises(FloorPlanError, match=r"plan\.yaml: its image .*map\.png: is a folder"):
         MapServerSource(path).load("plan")
+
+
+@pytest.mark.parametrize(
+    ("meant", "there"),
+    [
+        ("/home/robot/maps/office.pgm", "office.pgm"),
+        ("C:\\\\maps\\\\office.pgm", "office.pgm"),
+        ("../maps/office.pgm", "office.pgm"),
+        ("office.pgm", "Office.PGM"),
+        ("/home/robot/OFFICE.pgm", "office.pgm"),
+    ],
+)
+def test_an_image_of_that_name_next_to_the_yaml_is_taken_and_told(
+    tmp_path: Path, meant: str, there: str
+) -> None:
+    write_image(tmp_path / there, [[255, 0, 255]])
+    plan = MapServerSource(write_yaml(tmp_path / "f1.yaml", image=f'"{meant}"')).load("f1")
+    assert show(plan.cells) == ".#."
+    assert [doubt.kind for doubt in plan.doubts] == ["another image"]
+    assert f"is not there; {there} next to it was taken" in plan.doubts[0].text
+    assert plan.where == str(tmp_path / "f1.yaml")
+
+
+@pytest.mark.parametrize(
+    ("there", "hint"),
+    [
+        ("office.png", "is it office.png?"),
+        ("OFFICE.jpg", "is it OFFICE.jpg?"),
+        ("images/office.pgm", "is it images/office.pgm?"),
+        ("../office.pgm", "is it ../office.pgm?"),
+        ("._office.pgm", "copy it next to the YAML file"),
+        ("unlike.pgm", "copy it next to the YAML file"),
+    ],
+)
+def test_an_image_that_is_missing_names_the_yaml_and_what_is_like_it(
+    tmp_path: Path, there: str, hint: str
+) -> None:
+    paths = [write_yaml(tmp_path / "maps" / f"{name}.yaml", image="/x/office.pgm") for name in "ab"]
+    (tmp_path / "maps" / there).parent.mkdir(exist_ok=True)
+    (tmp_path / "maps" / there).touch()
+    for path in paths:
+        with pytest.raises(FloorPlanError) as caught:
+            MapServerSource(path).load(path.stem)
+        assert str(caught.value) == f"{path}: its image /x/office.pgm is not there; {hint}"
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"version https://git-lfs.github.com/spec/v1\n", "run git lfs pull"),
+        (b"\xff\xd8\xff\xe0", "a JPEG image; convert it to PNG"),
+        (b"P5\n2 2\n255\n\0", "truncated"),
+        (b"P5\n2 2\n255\n\0\0\0\0", "no free cell"),
+    ],
+)
+def test_each_line_about_an_image_names_the_yaml(
+    tmp_path: Path, content: bytes, reason: str
+) -> None:
+    (tmp_path / "map.png").write_bytes(content)
+    for name in ("office", "office-2"):
+        path = write_yaml(tmp_path / f"{name}.yaml")
+        with pytest.raises(FloorPlanError, match=f"{path}: .*{reason}"):
+            MapServerSource(path).load(name)
+
+
+# Depths and kinds of images ------------------------------------------------------------------
+
+
+def stored(path: Path, image: Image.Image, **options: Any) -> Pixels:
+    image.save(path, "PNG", **options)
+    return read_pixels(path)
+
+
+ROW = np.array([[0, 127, 205, 255]], np.uint8)
+
+
+def with_palette(row: npt.NDArray[np.uint8]) -> Image.Image:
+    """Numbers of colours, which are the greys of `row`."""
+    image = Image.fromarray(np.arange(row.size, dtype=np.uint8)[None], "P")
+    image.putpalette(np.repeat(row.ravel(), 3).tobytes())
+    return image
+
+
+def test_images_of_every_depth_and_kind_have_the_same_greys(tmp_path: Path) -> None:
+    path = tmp_path / "map.png"
+    grey, palette = Image.fromarray(ROW), with_palette(ROW)
+    sixteen = Image.fromarray(ROW.astype(np.uint16) * 257)
+    for image, options in (
+        (grey, {}),
+        (grey.convert("RGB"), {}),
+        (palette, {}),
+        (palette, {"bits": 2}),
+        (sixteen, {}),
+    ):
+        pixels = stored(path, image, **options)
+        assert pixels.grey.tolist() == ROW.tolist()
+        assert pixels.alpha is None
+    assert stored(path, grey.convert("1", dither=Image.Dither.NONE)).grey.tolist() == [
+        [0, 0, 255, 255]
+    ]
+
+
+def test_transparency_of_every_kind(tmp_path: Path) -> None:
+    path = tmp_path / "map.png"
+    grey, palette = Image.fromarray(ROW), with_palette(ROW)
+    with_alpha = grey.convert("LA")
+    with_alpha.putalpha(Image.fromarray(np.array([[255, 0, 255, 255]], np.uint8)))
+    for image, options in (
+        (grey, {"transparency": 127}),
+        (grey.convert("RGB"), {"transparency": (127, 127, 127)}),
+        (palette, {"transparency": 1}),
+        (with_alpha, {}),
+        (with_alpha.convert("RGBA"), {}),
+    ):
+        pixels = stored(path, image, **options)
+        assert pixels.alpha is not None
+        assert (pixels.alpha == 255).tolist() == [[True, False, True, True]]
+        assert to_cells(pixels, GreyRule()).tolist() == [[OCCUPIED, UNKNOWN, UNKNOWN, FREE]]
+    assert (stored(path, palette, transparency=bytes([255, 254])).alpha == 254).sum() == 1
+
+
+def test_an_interlaced_png(tmp_path: Path) -> None:
+    # Adam7 of 2 x 2 pixels: the first one, then the one to its right, then the row below.
+    header = struct.pack(">IIBBBBB", 2, 2, 8, 0, 0, 0, 1)
+    data = b"\0\x01" + b"\0\x02" + b"\0\x03\x04"
+    chunks = [(b"IHDR", header), (b"IDAT", zlib.compress(data)), (b"IEND", b"")]
+    path = tmp_path / "map.png"
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(itertools.starmap(png_chunk, chunks)))
+    assert read_pixels(path).grey.tolist() == [[3, 4], [1, 2]]
+
+
+@pytest.mark.parametrize(
+    ("content", "greys"),
+    [
+        (b"P5\n4 1\n100\n\0\x32\x50\x64", [0, 128, 204, 255]),
+        (b"P2\n4 1\n100\n0 50 80 100\n", [0, 128, 204, 255]),
+        (b"P2\n2 1\n1\n0 1\n", [0, 255]),
+        (b"P5\n3 1\n65535\n\0\0\x80\0\xff\xff", [0, 128, 255]),
+        (b"P2\n3 1\n4095\n0 2048 4095\n", [0, 128, 255]),
+        (b"P5\n2 1\n1000\n\0\0\x03\xe8", [0, 255]),
+    ],
+)
+def test_a_pgm_is_scaled_to_its_white(tmp_path: Path, content: bytes, greys: list[int]) -> None:
+    path = tmp_path / "map.pgm"
+    path.write_bytes(content)
+    assert read_pixels(path).grey.tolist() == [greys]
+
+
+@pytest.mark.parametrize("ending", ["png", "pgm"])
+def test_eight_bits_in_a_file_of_sixteen_say_so(tmp_path: Path, ending: str) -> None:
+    path = tmp_path / f"map.{ending}"
+    assert cv2.imwrite(str(path), np.array([[0, 205, 255]], np.uint16))
+    with pytest.raises(FloorPlanError, match="white is 65535, and no pixel is over 255"):
+        read_pixels(path)
 
 
 # YAML ----------------------------------------------------------------------------------------

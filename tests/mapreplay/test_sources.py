@@ -1,5 +1,7 @@
 """Finding the source that a specification means; id lists; choosing; plain images."""
 
+import io
+import tarfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -280,6 +282,106 @@ def test_an_image_needs_a_resolution_that_makes_sense(tmp_path: Path, resolution
     write_png(tmp_path / "a.png")
     with pytest.raises(UsageError, match="positive number of metres"):
         open_image(str(tmp_path / "a.png"), resolution)
+
+
+# Junk, links and folders of other things -------------------------------------------------------
+
+JUNK = b"\x00\x05\x16\x07" + bytes(100)
+
+
+def test_junk_of_a_mac_is_passed_over_and_takes_no_id(folder: Path) -> None:
+    (folder / "images" / "._room.png").write_bytes(JUNK)
+    (folder / "images" / ".hidden.png").write_bytes(JUNK)
+    (folder / "houses" / "._house.json").write_bytes(JUNK)
+    (folder / "houses" / ".DS_Store").write_bytes(JUNK)
+    (folder / "maps" / "office" / "._map.yaml").write_bytes(b"image: x.png\n")
+    for hidden in ("__MACOSX", ".git"):
+        (folder / "maps" / hidden / "office").mkdir(parents=True)
+        (folder / "maps" / hidden / "office" / "map.yaml").write_text(MAP)
+    for name, expected in (("images", "room"), ("houses", "house"), ("maps", "office")):
+        source = open_source(str(folder / name))
+        assert list(source.ids()) == [expected]
+        assert source.load(expected).id == expected
+
+
+def test_junk_alone_is_nothing(tmp_path: Path) -> None:
+    (tmp_path / "._room.png").write_bytes(JUNK)
+    with pytest.raises(UsageError, match="not a folder of floor plans, it holds no file"):
+        open_source(str(tmp_path))
+
+
+def test_junk_that_is_named_says_what_it_is(tmp_path: Path) -> None:
+    (tmp_path / "._room.png").write_bytes(JUNK)
+    source = open_source(str(tmp_path / "._room.png"))
+    with pytest.raises(FloorPlanError, match="a Mac's resource fork"):
+        source.load(source.ids()[0])
+
+
+def test_a_hidden_folder_that_is_named_is_read(tmp_path: Path) -> None:
+    (tmp_path / ".plans").mkdir()
+    write_png(tmp_path / ".plans" / "a.png")
+    assert list(open_source(str(tmp_path / ".plans")).ids()) == ["a"]
+
+
+@pytest.mark.parametrize("prefix", ["", "./", "houses/"])
+def test_junk_in_an_archive(tmp_path: Path, prefix: str) -> None:
+    path = tmp_path / "houses.tar.gz"
+    members = {"._house.json": JUNK, "__MACOSX/other.json": JUNK, "house.json": HOUSE.encode(),
+               "B.JSON": HOUSE.encode(), ".x/c.json": HOUSE.encode()}  # fmt: skip
+    with tarfile.open(path, "w:gz") as archive:
+        for name, content in members.items():
+            info = tarfile.TarInfo(prefix + name)
+            info.size = len(content)
+            archive.addfile(info, io.BytesIO(content))
+    source = open_source(str(path))
+    assert list(source.ids()) == ["house", "B"]
+    assert source.load("house").id == "house"
+    assert source.load("B").id == "B"
+
+
+def test_endings_in_capitals(tmp_path: Path) -> None:
+    (tmp_path / "A.JSON").write_text(HOUSE)
+    assert open_source(str(tmp_path / "A.JSON")).load("A").id == "A"
+    assert open_source(str(tmp_path)).load("A").id == "A"
+
+
+def test_a_broken_link_says_where_to(folder: Path) -> None:
+    (folder / "gone.png").symlink_to("elsewhere.png")
+    (folder / "images" / "gone.png").symlink_to("elsewhere.png")
+    with pytest.raises(FloorPlanError, match=r"gone\.png: a broken link, to elsewhere\.png"):
+        open_source(str(folder / "gone.png"))
+    source = open_source(str(folder / "images"))
+    assert list(source.ids()) == ["gone", "room"]
+    with pytest.raises(FloorPlanError, match=r"gone\.png: is a broken link, to elsewhere\.png"):
+        source.load("gone")
+
+
+def test_a_folder_of_other_things_says_what_and_where_to_look(tmp_path: Path) -> None:
+    inner = tmp_path / "plans"
+    inner.mkdir()
+    write_png(inner / "a.png")
+    with pytest.raises(UsageError, match=f"not a folder of floor plans, but {inner} is one"):
+        open_source(str(tmp_path))
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    (logs / "run.mcap").write_bytes(b"\x89MCAP0\r\n")
+    with pytest.raises(UsageError, match=r"run\.mcap is an MCAP file \(a log .*mapreplay ls"):
+        open_source(str(logs))
+    texts = tmp_path / "texts"
+    texts.mkdir()
+    for name in ("a.txt", "b.txt", "c.csv"):
+        (texts / name).write_text("a")
+    with pytest.raises(UsageError, match=r"it holds 2 \.txt and 1 \.csv files"):
+        open_source(str(texts))
+
+
+def test_a_folder_that_cannot_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(_: Path) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "iterdir", refuse)
+    with pytest.raises(FloorPlanError, match=f"{tmp_path}: cannot be read"):
+        ImageSource(tmp_path).ids()
 
 
 # Describing ----------------------------------------------------------------------------------
