@@ -33,10 +33,17 @@ def existing_path(source: str, rest: str) -> Path:
 
 
 def missing(path: Path) -> str:
-    """The line that says that `path` does not exist."""
+    """The line that says that `path` does not exist, and what is like it in its folder."""
     if is_link(path):
         return f"{path}: a broken link, to {path.readlink()}"
-    return f"{path}: no such file or folder"
+    line = f"{path}: no such file or folder"
+    try:
+        there = files_in(path.parent)
+    except (FloorPlanError, ValueError):
+        return line
+    alike = [file for file in there if file.name.lower() == path.name.lower()]
+    alike += [file for file in there if file.stem.lower() == path.stem.lower()]
+    return f"{line}; is it {alike[0]}?" if alike else line
 
 
 def exists(path: Path) -> bool:

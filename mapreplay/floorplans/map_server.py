@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path, PureWindowsPath
 from typing import Any, Final
 
 from ruamel.yaml import YAML
-from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent, NodeEvent
+from ruamel.yaml.events import (
+    AliasEvent,
+    CollectionEndEvent,
+    CollectionStartEvent,
+    Event,
+    MappingStartEvent,
+    NodeEvent,
+    ScalarEvent,
+)
 
 from mapreplay.errors import FloorPlanError, UsageError
 from mapreplay.floorplan import Doubt, FloorPlan
@@ -40,6 +48,7 @@ from mapreplay.identify import identify
 
 ENDINGS: Final = (".yaml", ".yml")
 MAX_YAML_BYTES: Final = 64 << 10
+_MAX_SHOWN: Final = 200
 MAX_DEPTH: Final = 20
 MAX_EVENTS: Final = 5000
 REQUIRED: Final = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
@@ -103,7 +112,8 @@ def read_map_file(path: Path) -> MapFile:
 def _parse_yaml(content: bytes, path: Path) -> Any:
     try:
         text = content.decode("utf-8-sig")
-        _check_events(text)
+        for _ in _events(text):
+            pass  # refuse what makes a small file a large value, before any value is made
         return YAML(typ="safe", pure=True).load(text)
     except Exception as error:  # odd tags make the parser fail with more than its own errors
         reason = str(getattr(error, "problem", None) or error).splitlines() or ["no reason given"]
@@ -111,11 +121,12 @@ def _parse_yaml(content: bytes, path: Path) -> Any:
         raise FloorPlanError(f"{path}: not a YAML file of a map ({what})") from error
 
 
-def _check_events(text: str) -> None:
-    """Refuse what makes a small file a large value, before any value is made.
+def _events(text: str) -> Iterator[Event]:
+    """The parts of a YAML text, as they come; no value is made.
 
     Raises:
-        ValueError: it refers to its own parts, or is nested too deeply or too long.
+        ValueError: it makes a small file a large value: it refers to its own parts, or is nested
+            too deeply or too long.
         YAMLError: it is not YAML.
     """
     depth = 0
@@ -129,6 +140,7 @@ def _check_events(text: str) -> None:
             raise ValueError(f"it is nested more than {MAX_DEPTH} deep")
         if count > MAX_EVENTS:
             raise ValueError(f"it has more than {MAX_EVENTS} values and marks")
+        yield event
 
 
 def _bad(path: Path, key: str, value: object, expected: str) -> FloorPlanError:
@@ -235,10 +247,11 @@ def find_image(path: Path, image: str) -> tuple[Path, tuple[Doubt, ...]]:
         return meant, ()
     name = PureWindowsPath(image).name  # what is behind the last / or backslash
     beside = _no_yaml(path.parent)
+    shown = image if len(image) <= _MAX_SHOWN else brief(image)
     same = [file for file in beside if file.name == name]
     same += [file for file in beside if file.name.lower() == name.lower()]
     if same:
-        text = f"its image {image} is not there; {same[0].name} next to it was taken"
+        text = f"its image {shown} is not there; {same[0].name} next to it was taken"
         return same[0], (Doubt("another image", text),)
     stem = PureWindowsPath(name).stem.lower()
     folders = [*folders_in(path.parent), path.absolute().parent.parent]
@@ -247,7 +260,7 @@ def find_image(path: Path, image: str) -> tuple[Path, tuple[Doubt, ...]]:
     hint = "copy it next to the YAML file"
     if alike is not None:
         hint = f"is it {os.path.relpath(alike, path.parent)}?"
-    raise FloorPlanError(f"{path}: its image {image} is not there; {hint}")
+    raise FloorPlanError(f"{path}: its image {shown} is not there; {hint}")
 
 
 def _no_yaml(folder: Path) -> list[Path]:
@@ -279,10 +292,31 @@ def _names_an_image(path: Path) -> bool:
     if b"image" not in content:  # spares the slow parser
         return False
     try:
-        data = _parse_yaml(content, path)
-    except FloorPlanError:
+        return _has_image_key(content.decode("utf-8-sig"))
+    except Exception:  # noqa: BLE001 (odd tags make the parser fail with more than its own errors)
         return _IMAGE_KEY.search(content) is not None
-    return isinstance(data, dict) and isinstance(data.get("image"), str)
+
+
+def _has_image_key(text: str) -> bool:
+    """Whether the YAML `text` is a mapping with a key ``image`` that is a scalar.
+
+    Raises:
+        ValueError: see `_events`, as far as the text was read: only up to that key.
+        YAMLError: it is not YAML.
+    """
+    depth, is_key, key = 0, True, ""
+    for event in _events(text):
+        depth -= isinstance(event, CollectionEndEvent)
+        if depth == 0 and isinstance(event, NodeEvent) and not isinstance(event, MappingStartEvent):
+            return False
+        if depth == 1 and isinstance(event, (NodeEvent, CollectionEndEvent)):
+            if not is_key and key == "image":
+                return isinstance(event, ScalarEvent)
+            if not isinstance(event, CollectionStartEvent):
+                key = getattr(event, "value", "") if is_key else ""
+                is_key = not is_key
+        depth += isinstance(event, CollectionStartEvent)
+    return False
 
 
 def open_source(rest: str, resolution: float | None) -> MapServerSource:

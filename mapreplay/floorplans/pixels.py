@@ -89,7 +89,8 @@ def _eight_bits(values: npt.NDArray[np.uint16], white: int) -> npt.NDArray[np.ui
 def _check_size(width: int, height: int, path: Path) -> None:
     if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
         raise FloorPlanError(
-            f"{path}: {width} x {height} pixels; 1 to {MAX_SIDE} along a side are allowed"
+            f"{path}: {width} x {height} pixels; 1 to {MAX_SIDE} along a side are allowed, "
+            "crop or shrink it"
         )
 
 

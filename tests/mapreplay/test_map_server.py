@@ -20,7 +20,12 @@ from drawing import show
 from mapreplay.errors import FloorPlanError, UsageError
 from mapreplay.floorplan import explorable
 from mapreplay.floorplans.greys import GreyRule
-from mapreplay.floorplans.map_server import MapServerSource, open_source, read_map_file
+from mapreplay.floorplans.map_server import (
+    MapServerSource,
+    find_maps,
+    open_source,
+    read_map_file,
+)
 from mapreplay.floorplans.pixels import Pixels, read_pixels
 from mapreplay.floorplans.reading import to_cells
 from mapreplay.grid import FREE, OCCUPIED, UNKNOWN
@@ -552,6 +557,26 @@ def test_a_folder_is_searched_for_yaml_files_that_name_an_image(tmp_path: Path) 
         source.load("broken")
     with pytest.raises(FloorPlanError, match="holds no map c"):
         source.load("c")
+
+
+@pytest.mark.parametrize(
+    ("content", "listed"),
+    [
+        ("{a: {image: x}, image: y.png}", True),
+        ("a: [image, image: b]\n? [k, {l: m}]\n: image\nimage: y.png\n", True),
+        ("image: 7\n", True),  # which loading refuses by name
+        ("image: a.png\nb: &b 1\n", True),
+        ("a: &a 1\nimage: b.png\n", True),
+        ("a: image\nb: {image: c}\n", False),
+        ("? image\n: [a.png]\n", False),
+        ("- image: a.png\n", False),
+        ("image\n", False),
+        ("services: {web: &web {image: x}}\n", False),
+    ],
+)
+def test_what_in_a_folder_is_a_map(tmp_path: Path, content: str, listed: bool) -> None:
+    (tmp_path / "a.yaml").write_text(content)
+    assert bool(find_maps(tmp_path)) == listed
 
 
 def test_a_map_called_map_has_the_name_of_its_folder(

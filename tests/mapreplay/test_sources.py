@@ -125,6 +125,13 @@ def test_a_path_that_does_not_exist(
         open_source(spec)
 
 
+@pytest.mark.parametrize(("spec", "there"), [("Office.png", "office.PNG"), ("a.yml", "a.yaml")])
+def test_a_path_that_is_nearly_one(tmp_path: Path, spec: str, there: str) -> None:
+    (tmp_path / there).touch()
+    with pytest.raises(FloorPlanError, match=rf"no such file or folder; is it {tmp_path}/{there}"):
+        open_source(str(tmp_path / spec))
+
+
 @pytest.mark.parametrize("spec", ["", "procedrual", "unknown:rest", "a\0b", "x" * 5000])
 def test_what_is_neither_a_source_nor_a_path_lists_what_is_understood(spec: str) -> None:
     with pytest.raises(UsageError, match=r"no such file or folder, and no source; understood are"):
