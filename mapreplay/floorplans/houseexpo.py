@@ -83,8 +83,8 @@ def parse_house(text: bytes, name: str) -> House:
     extent = float(np.ptp(vertices, axis=0).max())
     if extent > MAX_METRES:
         raise FloorPlanError(
-            f"{name}: {extent:.4g} m across, at most {MAX_METRES:g} are "
-            "allowed; 'verts' are in metres"
+            f"{name}: {extent:,.0f} m across; at most {MAX_METRES:g} m are "
+            "allowed ('verts' are in metres)"
         )
     return House(house_id, vertices)
 
@@ -125,7 +125,11 @@ def rasterize(house: House, resolution: float) -> FloorPlan:
     try:
         return FloorPlan(house.id, cells, resolution, Origin(float(origin[0]), float(origin[1])))
     except FloorPlanError as error:
-        raise FloorPlanError(f"house {house.id}: {str(error).partition(': ')[2]}") from None
+        sides = " x ".join(f"{side:.3g}" for side in np.ptp(house.vertices, axis=0))
+        raise FloorPlanError(
+            f"house {house.id}: {str(error).partition(': ')[2]}; it has {sides} m, and a cell "
+            f"{resolution:g} m"
+        ) from None
 
 
 class HouseExpoSource:
@@ -160,7 +164,10 @@ class HouseExpoSource:
         if self._ids is None:
             self._ids = [house_id for house_id, _ in self._members(with_text=False)]
             if not self._ids:
-                raise FloorPlanError(f"{self._path}: holds no JSON file")
+                what = None if self._path.is_dir() else _no_archive(self._path)
+                raise FloorPlanError(
+                    f"{self._path}: holds no JSON file" + (f" ({what})" if what else "")
+                )
         return self._ids
 
     def load(self, floor_plan_id: str) -> FloorPlan:
@@ -178,7 +185,10 @@ class HouseExpoSource:
         name = f"{self._path}: house {floor_plan_id}"
         # The file's name counts: an id list means that, whatever a copied file says inside.
         house = replace(parse_house(text, name), id=floor_plan_id)
-        return rasterize(house, self._resolution)
+        try:
+            return replace(rasterize(house, self._resolution), file=name)
+        except FloorPlanError as error:
+            raise FloorPlanError(f"{self._path}: {error}") from None
 
     def _read_from(self, floor_plan_id: str) -> bytes:
         if not _HOUSE_ID.fullmatch(floor_plan_id):
@@ -232,7 +242,10 @@ class _CheckedHeader(tarfile.TarInfo):
 
         Raises:
             FloorPlanError: the file that follows is too large.
+            ReadError: the archive ends here, without the blocks that end one.
         """
+        if len(buf) < tarfile.BLOCKSIZE:  # which `tarfile` would take for the end
+            raise tarfile.ReadError("it is cut off; copy it again")
         header = super().frombuf(buf, encoding, errors)
         if header.size > MAX_JSON_BYTES:
             raise FloorPlanError(f"{header.name[:80]!r} is larger than {MAX_JSON_BYTES >> 20} MiB")
@@ -264,10 +277,15 @@ def _archive_members(path: Path, *, with_text: bool) -> Iterator[tuple[str, byte
         raise FloorPlanError(f"{path}: refused, {error}") from None
     except (tarfile.TarError, EOFError, zlib.error, OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        what = identify_file(path)
-        if what and "-compressed" not in what and "tar archive" not in what:
-            reason = what  # else it is what it should be, and the reason says where it ends
+        reason = _no_archive(path) or reason
         raise FloorPlanError(f"{path}: not a readable tar archive ({reason})") from None
+
+
+def _no_archive(path: Path) -> str | None:
+    """What `path` is, if it starts like something else than an archive that can be read."""
+    what = identify_file(path)
+    readable = what is None or "-compressed" in what or "tar archive" in what
+    return None if readable else what
 
 
 def find_houses(folder: Path) -> list[Path]:

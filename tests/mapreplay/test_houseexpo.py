@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 
 from drawing import show
 from mapreplay.errors import FloorPlanError, UsageError
+from mapreplay.floorplans import load_each
 from mapreplay.floorplans.houseexpo import (
     MAX_JSON_BYTES,
     House,
@@ -27,6 +28,7 @@ from mapreplay.floorplans.houseexpo import (
     rasterize,
 )
 from mapreplay.grid import FREE
+from mapreplay.identify import identify
 
 Points = Sequence[tuple[float, float]]
 
@@ -404,6 +406,45 @@ def test_an_archive_with_a_name_that_leaves_it_is_refused(tmp_path: Path, name: 
     path = write_tar(tmp_path / "evil.tar.gz", {"b.json": HOUSES["b"], name: HOUSES["a"]})
     with pytest.raises(FloorPlanError, match=f"evil.tar.gz: refused, it holds the name '{name}'"):
         HouseExpoSource(path).ids()
+
+
+def test_an_archive_that_is_cut_off_anywhere_is_refused(tmp_path: Path) -> None:
+    path = write_tar(tmp_path / "json.tar", {f"{n}.json": c for n, c in HOUSES.items()}, "w")
+    content = path.read_bytes()
+    end = 512 * -(-len(content.rstrip(b"\0")) // 512)  # where the blocks that end it begin
+    assert list(HouseExpoSource(path).ids()) == list(HOUSES)
+    for size in range(100, end + 1, 206):
+        path.write_bytes(content[:size])
+        with pytest.raises(
+            FloorPlanError, match=r"json\.tar: not a readable tar archive \((it|un)"
+        ):
+            HouseExpoSource(path).ids()
+    for size in range(512, end + 1, 512):
+        path.write_bytes(content[:size])
+        with pytest.raises(FloorPlanError, match=r"cut off; copy it again|unexpected end of data"):
+            HouseExpoSource(path).ids()
+
+
+POINTER = b"version https://git-lfs.github.com/spec/v1\n"
+
+
+def test_lines_about_houses_name_the_archive(tmp_path: Path) -> None:
+    path = write_tar(
+        tmp_path / "json.tar.gz",
+        {
+            "mm.json": text([(0, 0), (9000, 0), (9000, 9000)]),
+            "small.json": text([(0, 0), (0.1, 0), (0.1, 0.1), (0, 0.1)]),
+            "closet.json": text([(0, 0), (0.3, 0), (0.3, 0.3), (0, 0.3)]),
+            "pointer.json": POINTER,
+        },
+    )
+    found = dict(load_each(HouseExpoSource(path), ["mm", "small", "closet", "pointer"]))
+    assert [str(error) for error in found.values()] == [
+        f"{path}: house mm: 9,000 m across; at most 200 m are allowed ('verts' are in metres)",
+        f"{path}: house small: no free cell; it has 0.1 x 0.1 m, and a cell 0.2 m",
+        f"{path}: house closet: nothing to explore, no cell can be reached from the start 1,1",
+        f"{path}: house pointer: not a JSON file ({identify(POINTER)})",
+    ]
 
 
 @pytest.mark.parametrize(
