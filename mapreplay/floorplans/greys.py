@@ -39,7 +39,7 @@ class GreyThresholds:
         if not 0 <= self.free <= self.occupied <= 1:
             raise ValueError(
                 f"free_thresh {self.free:g} and occupied_thresh {self.occupied:g}: expected "
-                "0 <= free_thresh <= occupied_thresh <= 1"
+                "0 <= free_thresh <= occupied_thresh <= 1, shares and no percentages"
             )
 
 

@@ -7,6 +7,7 @@ warning says the numbers and the cure.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import Final
 
@@ -72,10 +73,12 @@ def _of_cells(plan: FloorPlan, start: Cell, region: Mask) -> Iterator[Doubt]:
     walls = int((cells == OCCUPIED).sum())
     free = int((cells == FREE).sum())
     unknown = cells.size - walls - free
+    near = int((ndimage.binary_dilation(region, _EIGHT) & (cells == OCCUPIED)).sum())
     if not walls:
         yield Doubt("no wall", f"none of the {cells.size} cells is a wall")
-    elif not (ndimage.binary_dilation(region, _EIGHT) & (cells == OCCUPIED)).any():
-        yield Doubt("no wall", f"none of the {walls} walls is next to what can be explored")
+    elif near < math.sqrt(size):  # a quarter of what it takes to enclose a square room
+        around = f"next to the {size} free cells that can be reached"
+        yield Doubt("no wall", f"of {walls} cells that are walls {near} are {around}")
     if walls >= ALMOST_ALL_WALL * cells.size:
         text = f"{walls} of {cells.size} cells are walls; check what black and white mean (negate)"
         yield Doubt("almost all wall", text)

@@ -275,6 +275,14 @@ def test_walls_that_are_nowhere_near() -> None:
     assert kinds(FloorPlan("x", cells, 0.2))[0] == "no wall"
 
 
+def test_specks_are_no_walls() -> None:
+    cells = large(fill=".")
+    cells[30, ::10] = OCCUPIED
+    speckled = FloorPlan("x", cells, 0.2)
+    assert kinds(speckled)[0] == "no wall"
+    assert "of 8 cells that are walls 8 are next to the 4792 free cells" in text(speckled)
+
+
 def test_a_start_outside_of_the_building() -> None:
     cells = large(fill=".")
     cells[20:40, 20:50] = OCCUPIED
