@@ -21,7 +21,8 @@ from mapreplay.grid import FREE, OCCUPIED, UNKNOWN
 
 MODES: Final = ("trinary", "scale", "raw")
 
-_OPTIONS: Final = re.compile(r"(.+?):((?:free|occupied|negate)=.*)", re.DOTALL)
+_OPTIONS: Final = re.compile(r"(.+?):(\w+=.*)", re.DOTALL)
+_KEYS: Final = ("free", "occupied", "negate")
 
 
 @dataclass(frozen=True)
@@ -110,13 +111,16 @@ NO_OPTIONS: Final = GreyOptions()
 def split_options(spec: str) -> tuple[str, GreyOptions]:
     """The path and the options of ``PATH:free=0.3,occupied=0.6,negate=1``; all are optional.
 
-    A file or folder that is called like the whole of it has no options.
+    A file or folder that is called like the whole of it has no options; nor has what is neither a
+    path nor known options behind one.
 
     Raises:
         UsageError: an option has no such value, or there is no such option.
     """
     match = _OPTIONS.fullmatch(spec)
     if match is None or exists(Path(spec)):
+        return spec, NO_OPTIONS
+    if not exists(Path(match[1])) and match[2].partition("=")[0] not in _KEYS:
         return spec, NO_OPTIONS
     values: dict[str, float] = {}
     for item in match[2].split(","):
@@ -126,7 +130,7 @@ def split_options(spec: str) -> tuple[str, GreyOptions]:
         except ValueError:
             value = -1.0
         legal = value in (0, 1) if key == "negate" else 0 <= value <= 1
-        if key not in ("free", "occupied", "negate") or not legal or key in values:
+        if key not in _KEYS or not legal or key in values:
             raise UsageError(
                 f"{spec}: {item!r} is not one of free=, occupied= (0 to 1) and negate= (0 or 1)"
             )

@@ -204,8 +204,7 @@ class _Greys:
             why = f"free_thresh {thresholds.free:g}"
             cure = f"{GreyThresholds.free} keeps them unknown"
             if self.rule.mode == "trinary":
-                option = self.where.repeated(f"free={GreyThresholds.free}")
-                cure += f", in the YAML file or as {option}"
+                cure += f", as in {self.where.repeated(f'free={GreyThresholds.free}')}"
             else:
                 cure += " in mode trinary"
         else:

@@ -13,6 +13,7 @@ from mapreplay import plugins
 from mapreplay.config import WEIGHTS_ENDING
 from mapreplay.errors import PluginError
 from mapreplay.grid import Grid
+from mapreplay.identify import identify_file
 from mapreplay.step import PredictorIdentity
 
 
@@ -92,7 +93,9 @@ def registered_predictor(name: str, device: str = "cpu") -> Predictor:
     except PluginError as error:
         if name in plugins.available(plugins.Group.PREDICTORS):
             raise
-        raise PluginError(f"{error}, or a .safetensors file") from None
+        what = identify_file(Path(name))
+        is_a = f"; {name} is {what}" if what else ""
+        raise PluginError(f"{error}, or a .safetensors file{is_a}") from None
     return cast("Predictor", factory(device))
 
 

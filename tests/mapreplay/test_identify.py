@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from mapreplay.errors import FloorPlanError, UsageError, WeightsError
+from mapreplay.errors import FloorPlanError, PluginError, UsageError, WeightsError
 from mapreplay.floorplans import open_source
 from mapreplay.identify import identify, identify_file, unlike
+from mapreplay.predictors import load_predictor
 from mapreplay.predictors.weights import load_tensors
 
 POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 274911\n"
@@ -145,3 +146,16 @@ def test_weights_that_are_cut_off_are_not_called_weights(tmp_path: Path) -> None
     path.write_bytes(b'\x20\0\0\0\0\0\0\0{"a":')
     with pytest.raises(WeightsError, match=r"not a safetensors file \((?!a safetensors)"):
         load_tensors(path)
+
+
+def test_a_predictor_that_is_another_file_says_what_it_is(tmp_path: Path) -> None:
+    (tmp_path / "model.pt").write_bytes(zipped("model/data.pkl"))
+    with pytest.raises(
+        PluginError, match=r"or a \.safetensors file; .*model\.pt is a PyTorch check"
+    ):
+        load_predictor(str(tmp_path / "model.pt"))
+
+
+def test_a_folder_is_no_weights(tmp_path: Path) -> None:
+    with pytest.raises(WeightsError, match=r"cannot be read \(is a folder\)"):
+        load_tensors(tmp_path)

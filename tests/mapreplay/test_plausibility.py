@@ -348,7 +348,8 @@ def test_options_behind_the_path(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "options", ["free=x", "free=2", "free=nan", "negate=2", "free=0.1,free=0.2", "free=0.1,mode=1"]
+    "options",
+    ["free=x", "free=2", "free=nan", "negate=2", "free=0.1,free=0.2", "free=0.1,mode=1", "fre=1"],
 )
 def test_options_that_are_none(tmp_path: Path, options: str) -> None:
     read(tmp_path, building(205))
