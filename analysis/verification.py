@@ -27,7 +27,7 @@ from mapreplay.recorders.log import step_table as table
 from mapreplay.recorders.log.header import EPISODE_RECORD, NO_STEPS, OUTCOME_RECORD
 from mapreplay.recorders.log.messages import Topic
 from mapreplay.recorders.log.reader import EpisodeLog, Stamps
-from mapreplay.recorders.state import span_words
+from mapreplay.recorders.log.state import span_words
 from mapreplay.sensor import Hits, accumulate, sense
 from mapreplay.stages import (
     Knowledge,

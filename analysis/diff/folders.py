@@ -13,7 +13,7 @@ from mapreplay.analysis.diff.divergence import Layer, find_partings
 from mapreplay.analysis.episodes.corpus import LoggedEpisode
 from mapreplay.analysis.pool import WorkerError, map_unordered
 from mapreplay.errors import MapreplayError
-from mapreplay.recorders.blame import UnforeseenError, blaming
+from mapreplay.recorders.log.blame import UnforeseenError, blaming
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.text import printable
 

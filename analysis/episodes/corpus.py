@@ -19,9 +19,9 @@ from mapreplay.analysis.episodes.summary import EpisodeRow, summarize
 from mapreplay.analysis.pool import WorkerError, map_unordered
 from mapreplay.config import MapKind
 from mapreplay.errors import MapreplayError
-from mapreplay.recorders.blame import UnforeseenError, blaming
+from mapreplay.recorders.log.blame import UnforeseenError, blaming
 from mapreplay.recorders.log.reader import EpisodeLog
-from mapreplay.recorders.state import LogState, by_step
+from mapreplay.recorders.log.state import LogState, by_step
 from mapreplay.step import EpisodeHeader, Mode
 from mapreplay.text import printable
 

@@ -15,7 +15,7 @@ from mapreplay.analysis.episodes.curves import first_reached
 from mapreplay.config import MapKind
 from mapreplay.errors import UsageError
 from mapreplay.recorders.log.reader import EpisodeLog
-from mapreplay.recorders.state import by_step
+from mapreplay.recorders.log.state import by_step
 from mapreplay.step import Mode
 from mapreplay.text import printable
 

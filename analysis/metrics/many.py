@@ -17,9 +17,9 @@ from mapreplay.analysis.metrics.registry import load_metric
 from mapreplay.analysis.metrics.store import Store, Tables
 from mapreplay.analysis.pool import WorkerError, map_unordered
 from mapreplay.errors import LogError, MapreplayError
-from mapreplay.recorders.blame import UnforeseenError, blaming
+from mapreplay.recorders.log.blame import UnforeseenError, blaming
 from mapreplay.recorders.log.reader import EpisodeLog
-from mapreplay.recorders.state import LogState
+from mapreplay.recorders.log.state import LogState
 from mapreplay.text import printable
 
 

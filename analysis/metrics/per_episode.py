@@ -12,7 +12,7 @@ from mapreplay.analysis.episodes.summary import episode_frame, summarize
 from mapreplay.analysis.metrics.measure import CHANGES, RECORDED, Measurements, prediction_scores
 from mapreplay.config import MapKind
 from mapreplay.recorders.log.reader import EpisodeLog
-from mapreplay.recorders.state import by_step
+from mapreplay.recorders.log.state import by_step
 
 _IN_ROW: Final = {"path_length", "f1"}
 """Of `RECORDED`, what an `EpisodeRow` has already."""

@@ -108,7 +108,7 @@ def _diagnose(paths: list[Path], where: list[str] | None) -> tuple[dict[str, Dia
     """The diagnoses by file, and how many logs could not be read or were cut short."""
     from mapreplay.analysis.diagnosis.diagnosis import diagnose as diagnose_log
     from mapreplay.cli.progress import progress_bar
-    from mapreplay.recorders.blame import blaming
+    from mapreplay.recorders.log.blame import blaming
     from mapreplay.recorders.log.reader import EpisodeLog
 
     episodes, lost = read_episodes(paths, where)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from mapreplay.analysis.episodes.corpus import LoggedEpisode
     from mapreplay.analysis.episodes.summary import EpisodeRow
     from mapreplay.recorders.log.reader import EpisodeLog
-    from mapreplay.recorders.state import LogState
+    from mapreplay.recorders.log.state import LogState
 
 
 PathsArgument = Annotated[

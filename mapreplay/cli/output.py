@@ -154,7 +154,7 @@ def _resolve(form: Format, output: Path | None) -> Format:
     """
     if output is not None and form is Format.TABLE:
         form = _BY_ENDING.get(output.suffix, form)
-    if form is Format.PARQUET and output is None and sys.stdout.isatty():
+    if form is Format.PARQUET and _goes_to_terminal(output):
         raise UsageError("Parquet is binary: name a file with -o")
     return form
 
@@ -169,10 +169,14 @@ def _deliver(blocks: Iterable[bytes], output: Path | None, *, force: bool) -> No
     sys.stdout.buffer.flush()
 
 
+def _goes_to_terminal(output: Path | None) -> bool:
+    return output is None and sys.stdout.isatty()
+
+
 def _csv(frame: pl.DataFrame, output: Path | None, *, head: bool = True) -> bytes:
     """All text as it is; but what would drive a terminal is escaped where it goes to one."""
     text = frame.write_csv(include_header=head)
-    if output is None and sys.stdout.isatty():
+    if _goes_to_terminal(output):
         text = "\n".join(map(printable, text.split("\n")))
     return text.encode()
 

@@ -92,7 +92,7 @@ def recover(
 
 def _missing(saved: Recovered) -> str:
     """What is not in the new file, in words."""
-    from mapreplay.recorders.state import span_words
+    from mapreplay.recorders.log.state import span_words
 
     said = []
     if saved.missing:

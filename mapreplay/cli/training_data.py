@@ -14,7 +14,7 @@ from mapreplay.cli.progress import progress_bar
 from mapreplay.errors import FloorPlanError, LogError
 from mapreplay.floorplans import FloorPlanSource
 from mapreplay.floorplans.plausibility import warning_lines
-from mapreplay.recorders.blame import blaming
+from mapreplay.recorders.log.blame import blaming
 from mapreplay.recorders.log.find import find_logs
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.sampled import observed_maps

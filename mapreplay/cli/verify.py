@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from mapreplay.analysis.verification import Verification
     from mapreplay.recorders.log.reader import EpisodeLog
-    from mapreplay.recorders.state import LogState
+    from mapreplay.recorders.log.state import LogState
 
 DIFFERS = 1
 
@@ -57,7 +57,7 @@ def verify(
     if predictor and not rerun and rerun_from is None:
         raise UsageError("verify: --predictor is for --rerun and --rerun-from")
     from mapreplay.analysis.episodes.summary import Condition, summarize
-    from mapreplay.recorders.blame import blaming
+    from mapreplay.recorders.log.blame import blaming
     from mapreplay.recorders.log.find import find_logs
     from mapreplay.recorders.log.reader import EpisodeLog
 

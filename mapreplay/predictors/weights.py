@@ -110,7 +110,7 @@ def save_weights(path: Path, content: bytes, card: ModelCard, *, force: bool = F
         whole_path(path, force=force) as draft,
     ):
         for each, data in ((card_draft, card.to_json()), (draft, content)):
-            with each.open("xb") as file:
+            with each.open("wb") as file:
                 file.write(data)
                 file.flush()
                 os.fsync(file.fileno())  # a full disk shows here, before the first is renamed
@@ -160,4 +160,5 @@ def _check_regular(path: Path) -> None:
         reason = getattr(error, "strerror", None) or error
         raise WeightsError(f"{path}: cannot be read ({reason})") from None
     if not stat.S_ISREG(mode):
-        raise WeightsError(f"{path}: not a file of weights (not a regular file)")
+        kind = "a folder" if stat.S_ISDIR(mode) else "not a regular file"
+        raise WeightsError(f"{path}: not a file of weights (it is {kind})")

@@ -186,7 +186,6 @@ def _decode_step(messages: Messages, index: int, header: EpisodeHeader) -> Step:
         metres = cdr.unpack_ranges(messages[Topic.SCAN][0])
         hits = _hits(metres, header.sensor, plan.resolution)
     outcome, metrics = decode_metrics(messages)
-    check_scores(np.array(_scores_of(metrics))[:, None], index, plan)
     decision = profile = None
     if Topic.DECISION in messages:
         path = cdr.unpack_path(_message(messages, Topic.PLAN))
@@ -203,7 +202,7 @@ def _decode_step(messages: Messages, index: int, header: EpisodeHeader) -> Step:
         fused=decode_map(messages, Topic.FUSED, plan),
         frontier=_cells_in(cdr.unpack_grid_cells(_message(messages, Topic.FRONTIER)), plan),
         decision=decision,
-        metrics=metrics,
+        metrics=_checked(metrics, index, plan),
         events=tuple(_event(cdr.unpack_log(data)) for data in messages.get(Topic.EVENTS, ())),
         outcome=outcome,
         profile=profile,
@@ -459,6 +458,11 @@ def _candidate(rated: cdr.Rated, plan: FloorPlan) -> Candidate:
     if not (0 <= straight < plan.cells.size and 0 <= diagonal < plan.cells.size):
         raise ValueError(f"{Topic.DECISION}: a path of {straight} straight, {diagonal} diagonal")
     return Candidate(Cell(row, col), utility, reward, straight, diagonal)
+
+
+def _checked(metrics: StepMetrics, index: int, plan: FloorPlan) -> StepMetrics:
+    check_scores(np.array(_scores_of(metrics))[:, None], index, plan)
+    return metrics
 
 
 def check_scores(scores: npt.NDArray[np.float64], steps: int, plan: FloorPlan) -> None:

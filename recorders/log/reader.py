@@ -55,8 +55,8 @@ from mapreplay.recorders.log.messages import (
     stamp_ns_of,
 )
 from mapreplay.recorders.log.parquet import UnknownParquetError
-from mapreplay.recorders.state import Condition, LogState, gaps_in, span_words
-from mapreplay.recorders.survey import StepMessages, Survey, steps_in, survey
+from mapreplay.recorders.log.state import Condition, LogState, gaps_in, span_words
+from mapreplay.recorders.log.survey import StepMessages, Survey, steps_in, survey
 from mapreplay.step import OURS, EpisodeHeader, Outcome, Step
 
 if TYPE_CHECKING:
@@ -302,7 +302,7 @@ class EpisodeLog:
         with self._reading() as file:
             body = read_record(file, offset, Opcode.ATTACHMENT)
             try:
-                return table.from_parquet(read_attachment(body).data, rows=len(self))
+                return table.from_parquet(read_attachment(body).data, self.indices)
             except UnknownParquetError:
                 return None
 

@@ -18,9 +18,9 @@ from mapreplay.recorders.log.find import whereabouts
 from mapreplay.recorders.log.lock import is_locked
 from mapreplay.recorders.log.mcap.index import Tail
 from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.salvage import SalvagedLog
+from mapreplay.recorders.log.state import Condition, gaps_in
 from mapreplay.recorders.log.writer import EpisodeWriter
-from mapreplay.recorders.salvage import SalvagedLog
-from mapreplay.recorders.state import Condition, gaps_in
 from mapreplay.step import Outcome
 
 

@@ -75,18 +75,19 @@ def to_parquet(table: pl.DataFrame) -> bytes:
     return file.getvalue()
 
 
-def from_parquet(data: bytes, rows: int) -> pl.DataFrame:
-    """The inverse of `to_parquet`, for a table of `rows` rows.
+def from_parquet(data: bytes, steps: Sequence[int]) -> pl.DataFrame:
+    """The inverse of `to_parquet`, for a table of the steps of these numbers.
 
     Raises:
         UnknownParquetError: the bytes may be a Parquet file, but not one of `to_parquet`.
-        ValueError: they are damaged, have another number of rows or values that no step has, or
-            unpack to more than those need.
+        ValueError: they are damaged, are of other steps, have values that no step has, or unpack
+            to more than those need.
     """
     import polars as pl
 
+    rows = len(steps)
     columns = read_columns(data, _KINDS, rows, TABLE_BYTES + rows * MAX_ROW_BYTES)
-    _check(columns, rows)
+    _check(columns, steps)
     schema = _schema()
     return pl.DataFrame(
         [pl.Series(name, _items(column), schema[name]) for name, column in columns.items()]
@@ -113,7 +114,7 @@ def check_end(
     scores = np.stack([table[name].to_numpy() for name in StepMetrics.names()])
     check_scores(scores, len(table), header.floor_plan)
     config = header.config
-    built = config.build.value
+    built, steps = config.build.value, table["step"].to_numpy()
     told = {
         "mapping time": (summary.mapping_time, f"coverage_{built}", config.coverage),
         "correct time": (
@@ -122,7 +123,7 @@ def check_end(
     }  # fmt: skip
     for what, (time, column, target) in told.items():
         reached = np.flatnonzero(table[column].to_numpy() >= target)
-        if (int(reached[0]) if len(reached) else None) != time:
+        if (int(steps[reached[0]]) if len(reached) else None) != time:
             raise ValueError(f"{ATTACHMENT} has another {what} than the log")
 
 
@@ -134,7 +135,7 @@ def _items(column: Column) -> npt.NDArray[Any] | list[Any]:
     return [x if there else None for x, there in zip(values.tolist(), present, strict=True)]
 
 
-def _check(columns: Mapping[str, Column], rows: int) -> None:
+def _check(columns: Mapping[str, Column], steps: Sequence[int]) -> None:
     """Whether the rows are those of steps at all.
 
     Raises:
@@ -143,8 +144,8 @@ def _check(columns: Mapping[str, Column], rows: int) -> None:
     for name in ("step", "row", "col", "mode"):
         if not columns[name].present.all():
             raise ValueError(f"{ATTACHMENT} has a step without {name}")
-    if not np.array_equal(columns["step"].values, np.arange(rows)):
-        raise ValueError(f"{ATTACHMENT} has not every step in order")
+    if not np.array_equal(columns["step"].values, steps):
+        raise ValueError(f"{ATTACHMENT} is not of the steps that there are")
     if not set(columns["mode"].values.tolist()) <= set(Mode):
         raise ValueError(f"{ATTACHMENT} has a step of an unknown mode")
     for name, kind in _KINDS.items():

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from mapreplay.errors import UsageError
+from mapreplay.recorders.log.state import by_step
 from mapreplay.recorders.pictures.annotations import Mark
 from mapreplay.recorders.pictures.layers import first_parting
 from mapreplay.recorders.pictures.palette import Curve
-from mapreplay.recorders.state import by_step
 from mapreplay.step import EpisodeHeader, Step
 from mapreplay.text import shortened
 

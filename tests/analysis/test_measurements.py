@@ -161,13 +161,13 @@ def test_another_scope_gives_other_scores_and_is_not_compared(log: EpisodeLog) -
 def test_a_wrong_recording_is_told(tmp_path: Path) -> None:
     episode = three_rooms(max_steps=4)
     path = record(tmp_path, episode).path
-    steps = [replace(s, metrics=replace(s.metrics, f1=-1.0)) for s in EpisodeLog(path)]
+    steps = [replace(s, metrics=replace(s.metrics, f1=0.123)) for s in EpisodeLog(path)]
     with EpisodeWriter(tmp_path / "wrong.mcap", episode.header) as writer:
         for step in steps:
             writer.write(step)
     wrong = measure_log(EpisodeLog(tmp_path / "wrong.mcap")).disagreements
     assert [d.step for d in wrong] == list(range(5))
-    assert str(wrong[0]).startswith("step 0: f1 was recorded as -1.0, the maps give 0.")
+    assert str(wrong[0]).startswith("step 0: f1 was recorded as 0.123, the maps give 0.")
 
 
 def test_further_metrics_have_columns_of_their_own(log: EpisodeLog) -> None:

@@ -73,7 +73,7 @@ CHANGES: dict[Layer, Callable[[Step], Step]] = {
     Layer.DECISION: lambda s: replace(s, decision=replace(decision_of(s), random_draw=7)),
     Layer.MOVE: other_path,
     Layer.END: lambda s: replace(s, decision=None, outcome=Outcome.SEALED_IN),
-    Layer.RECORD: lambda s: replace(s, metrics=replace(s.metrics, iou=-1.0)),
+    Layer.RECORD: lambda s: replace(s, metrics=replace(s.metrics, iou=0.123)),
 }  # fmt: skip
 
 

@@ -188,10 +188,14 @@ def told(number: int, error: WorkerError) -> str:
 
 
 def test_the_death_of_a_process_costs_the_item_that_it_died_of() -> None:
-    results = list(map_unordered(lethal, range(8), jobs=2, died=told))
+    results = list(map_unordered(lethal, range(8), jobs=2, lost=told))
+    died = (
+        "3: item 4 of 8: a worker process died at it (killed by SIGABRT), perhaps for want of "
+        "memory; try again with --jobs 1"
+    )
     assert sorted(results) == [
         *"012",
-        "3: the process that worked on it died",
+        died,
         *"4567",
     ]
 

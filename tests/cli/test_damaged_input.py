@@ -23,7 +23,7 @@ from damage import attachment_of, damaged, damaged_log, log_of, pieces_of, with_
 from mapreplay.analysis.cache import Cache
 from mapreplay.cli import app
 from mapreplay.errors import MapreplayError
-from mapreplay.recorders.blame import UnforeseenError
+from mapreplay.recorders.log.blame import UnforeseenError
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.step_table import to_parquet
 from memory import bounded
@@ -202,10 +202,10 @@ def test_verify_names_a_value_of_the_table_that_is_not_its_steps(
     assert result.code == 1
     assert f"step {step}: steps.parquet {column}" in result.err
     if row == -1:
-        assert cli("ls", log).err.endswith(
-            "damaged (steps.parquet has another last step than the log); copy it again, or record "
-            "it again\n"
-        )
+        assert (
+            f"{log}: damaged (steps.parquet has another last step than the log); copy it again, or "
+            f"save what can be read: mapreplay recover {log}\n"
+        ) in cli("ls", log).err
 
 
 def test_any_damage_to_the_cache_changes_nothing(

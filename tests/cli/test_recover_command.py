@@ -31,6 +31,6 @@ def test_the_command_recovers_a_folder_and_says_what_is_missing(cli: Run, tmp_pa
                         "cut.mcap": "unfinished"}  # fmt: skip
     info = cli("info", tmp_path / "cut.mcap")
     assert info.code == 3
-    assert f"unfinished; {steps} steps" in info.err
+    assert f"recovered; {steps} steps" in info.err
     assert "bit for bit" in cli("metrics", tmp_path / "cut.mcap").err
     assert cli("recover", tmp_path / "lost.mcap.part").code == 1

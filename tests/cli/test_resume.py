@@ -86,7 +86,7 @@ def test_logs_of_another_run_are_refused_before_anything_is_recorded(
     assert (tmp_path / last).read_bytes() != undisturbed[last]
 
 
-@pytest.mark.parametrize(("size", "reason"), [(9000, "unfinished"), (5, "not an MCAP file")])
+@pytest.mark.parametrize(("size", "reason"), [(9000, "cut off"), (5, "not an MCAP file")])
 def test_a_log_that_is_cut_or_damaged_is_refused(
     cli: Run, tmp_path: Path, undisturbed: dict[str, bytes], size: int, reason: str
 ) -> None:

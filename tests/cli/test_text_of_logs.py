@@ -85,7 +85,7 @@ def test_csv_is_exact_but_on_a_terminal(
     cli: Run, hostile: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert "\x1b]0;pwned\x07" in cli("ls", hostile, "--format", "csv").out
-    monkeypatch.setattr("mapreplay.cli.output.sys.stdout.isatty", lambda: True, raising=False)
+    monkeypatch.setattr("mapreplay.cli.output._goes_to_terminal", lambda _: True)
     shown = cli("ls", hostile, "--format", "csv").out
     assert only_text(shown)
     assert r"\x1b]0;pwned\x07" in shown

@@ -151,7 +151,7 @@ def test_a_named_pipe_that_a_log_names_is_not_opened(
         assert str(tmp_path / "fifo") not in result.out
     # The user may name it, and is told what it is.
     result = cli("verify", "--rerun", hostile, "--predictor", fifo)
-    assert "fifo.safetensors: not a file of weights (not a regular file)" in result.err
+    assert "fifo.safetensors: not a file of weights (it is not a regular file)" in result.err
     result = cli(*RUN, "--predictor", fifo, "--out", tmp_path / "out")
     assert (result.code, "not a regular file" in result.err) == (1, True)
 

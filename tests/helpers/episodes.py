@@ -11,7 +11,7 @@ from mapreplay.analysis.episodes.summary import UNFINISHED, EpisodeRow
 from mapreplay.config import EpisodeConfig
 from mapreplay.floorplan import FloorPlan
 from mapreplay.grid import Cell
-from mapreplay.recorders.state import Condition, LogState
+from mapreplay.recorders.log.state import Condition, LogState
 from mapreplay.step import EpisodeHeader, PredictorIdentity
 
 

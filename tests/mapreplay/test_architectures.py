@@ -53,7 +53,7 @@ def test_weights_go_to_disk_and_back(architecture: Architecture, tmp_path: Path)
     path = tmp_path / "mine.safetensors"
     path.write_bytes(encode_tensors(model.state_dict(), notes_of(architecture)))
     loaded = load_predictor(str(path))
-    assert loaded.identity.name == "mine.safetensors"
+    assert loaded.identity.name == "mine"
     assert len(loaded.identity.sha256) == 64
     observed = draw("#..?")
     direct = TrainedPredictor(model, architecture, PredictorIdentity("random", ""), "cpu")

@@ -109,5 +109,5 @@ def test_weights_that_are_replaced_while_they_are_read_are_not_logged_under_anot
 def test_a_file_of_weights_is_a_regular_file(tmp_path: Path) -> None:
     folder = tmp_path / "folder.safetensors"
     folder.mkdir()
-    with pytest.raises(WeightsError, match="not a regular file"):
+    with pytest.raises(WeightsError, match="it is a folder"):
         load_predictor(str(folder))

@@ -157,5 +157,5 @@ def test_a_predictor_that_is_another_file_says_what_it_is(tmp_path: Path) -> Non
 
 
 def test_a_folder_is_no_weights(tmp_path: Path) -> None:
-    with pytest.raises(WeightsError, match=r"cannot be read \(is a folder\)"):
+    with pytest.raises(WeightsError, match=r"not a file of weights \(it is a folder\)"):
         load_tensors(tmp_path)

@@ -33,7 +33,7 @@ def test_arrays_are_stacked_over_steps(blurred: Recorded, tmp_path: Path) -> Non
             assert tuple(arrays["target"][k]) == target
         truth = blurred.header.floor_plan.cells
         assert np.array_equal(arrays["truth"], truth)
-        assert np.array_equal(arrays["explorable"], log.explorable)
+        assert np.array_equal(arrays["explorable"], log.header.explorable)
         assert arrays["p_wall_step"].tolist() == list(range(len(blurred.steps)))
         for name in StepMetrics.names():
             expected = [getattr(step.metrics, name) for step in blurred.steps]

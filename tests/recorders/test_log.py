@@ -60,7 +60,7 @@ def test_the_header_comes_back(recorded: Recorded) -> None:
     for name in ("config", "start", "max_steps", "predictor", "versions"):
         assert getattr(read, name) == getattr(written, name)
     expected = explorable(written.floor_plan.cells, written.start)
-    assert np.array_equal(log.explorable, expected)
+    assert np.array_equal(log.header.explorable, expected)
 
 
 @pytest.mark.parametrize("recorded", WHOLE, indirect=True)

@@ -17,7 +17,7 @@ from mapreplay.errors import LogError
 from mapreplay.recorders.log.mcap.reader import read_records
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.recover import recover
-from mapreplay.recorders.state import Condition
+from mapreplay.recorders.log.state import Condition
 from mapreplay.step import differences
 from recordings import Recorded
 from repack import (
@@ -200,7 +200,7 @@ LFS = b"version https://git-lfs.github.com/spec/v1\noid sha256:" + b"0" * 64 + b
         (b"\x1f\x8b\x08rest", "gzip-compressed; unpack it with gunzip"),
         (b"<!DOCTYPE html><html>Not found", "a web page"),
         (b"", "an empty file"),
-        (bytes(1000), "nothing but zero bytes"),
+        (bytes(1000), "zero bytes, as after a broken copy"),
     ],
     ids=["lfs", "gzip", "web page", "empty", "zeros"],
 )

@@ -156,7 +156,7 @@ def test_errors_are_sent_of_the_fused_map(saved: Path, episode: Episode, steps: 
     truth = episode.header.floor_plan.cells
     found = set()
     for step in steps:
-        expected = error_classes(step.fused, truth, episode.explorable)
+        expected = error_classes(step.fused, truth, episode.header.explorable)
         assert (shown[step.index][::-1] == expected).all()
         found |= set(np.unique(expected).tolist())
     assert found == set(CellClass), "this episode must show every kind of cell"
@@ -482,7 +482,9 @@ def test_every_cell_is_seen_where_it_lies(
     expected: dict[str, Callable[[Step], npt.NDArray[Any]]] = {
         "Observed": lambda step: classes(step.observed),
         "Fused": lambda step: classes(step.fused),
-        "Error of fused": lambda step: error_classes(step.fused, plan.cells, episode.explorable),
+        "Error of fused": lambda step: error_classes(
+            step.fused, plan.cells, episode.header.explorable
+        ),
     }
     for k in (5, 13, 19):
         for view, map_of in expected.items():
@@ -554,8 +556,8 @@ def test_of_two_episodes_every_cell_is_seen_in_its_own_row(
                     "Observed": (cell_classes(step.observed), cell_classes(stranger.observed)),
                     "Fused": (cell_classes(step.fused), cell_classes(stranger.fused)),
                     "Error of fused": (
-                        error_classes(step.fused, truth, episode.explorable),
-                        error_classes(stranger.fused, truth, episode.explorable),
+                        error_classes(step.fused, truth, episode.header.explorable),
+                        error_classes(stranger.fused, truth, episode.header.explorable),
                     ),
                 }
                 for view, (expected, wrong) in right.items():

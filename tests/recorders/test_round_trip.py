@@ -1,5 +1,7 @@
 """Through a file and back, bit for bit: any map size, any kind of prediction, any values."""
 
+import math
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -88,7 +90,12 @@ class Anything:
         shares = np.where(
             self.rng.random(count) < 0.5, self.rng.random(count), self.rng.choice(special, count)
         )
-        return StepMetrics(float(self.rng.random()) / 10, *shares[1:].tolist())
+        scores = StepMetrics(float(self.rng.random()) / 10, *shares[1:].tolist())
+        if self.dtype is not None:
+            return scores
+        of_prediction = ("_thresholded", "_raw", "brier", "log_loss", "unobserved")
+        names = [n for n in StepMetrics.names() if any(part in n for part in of_prediction)]
+        return replace(scores, **dict.fromkeys(names, math.nan))
 
     def candidate(self) -> Candidate:
         utility, reward = self.reals(2)

@@ -28,7 +28,7 @@ from mapreplay.recorders.log.mcap.index import (
 from mapreplay.recorders.log.mcap.reader import DAMAGE, Block, Place, read_block, stream
 from mapreplay.recorders.log.messages import decode_step
 from mapreplay.recorders.log.reader import STEP_TOPICS, EpisodeLog, reason_of
-from mapreplay.recorders.survey import Survey
+from mapreplay.recorders.log.survey import Survey
 from mapreplay.step import Step
 
 _PREFIX: Final = struct.Struct("<BQ")
