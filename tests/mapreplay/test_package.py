@@ -54,3 +54,30 @@ def test_arrows_point_one_way(folder: str) -> None:
     for path in files:
         wrong = [name for name in imports(path) if name.startswith(UPWARDS[folder])]
         assert not wrong, f"{path} imports {wrong}"
+
+
+ORDER = {
+    "recorders": ["log", "pictures", "viewer", "batch", "export", "resume", "sampled"],
+    "analysis": [
+        "pool", "cache", "stats", "reporting", "logged_predictor", "episodes", "metrics", "diff",
+        "whatif", "diagnosis", "branching", "verification", "bundling", "comparison", "experiment",
+        "limits", "benchmarks",
+    ],
+}  # fmt: skip
+"""The packages and modules of a folder: each may import those before it, and none after it."""
+
+
+@pytest.mark.parametrize("folder", ORDER)
+def test_packages_of_a_folder_depend_in_one_order(folder: str) -> None:
+    order = ORDER[folder]
+    there = {p.stem for p in (ROOT / folder).iterdir() if p.suffix == ".py" or p.is_dir()}
+    assert there - {"__init__", "__pycache__"} == set(order)
+    for place, package in enumerate(order):
+        path = ROOT / folder / package
+        files = [*path.rglob("*.py")] if path.is_dir() else [path.with_suffix(".py")]
+        later = tuple(f"mapreplay.{folder}.{name}" for name in order[place + 1 :])
+        for file in files:
+            wrong = [
+                n for n in imports(file) if any(n == x or n.startswith(x + ".") for x in later)
+            ]
+            assert not wrong, f"{file} imports {wrong}"
