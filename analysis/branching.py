@@ -197,7 +197,7 @@ def prepare_branch(
         weights: Files, one of which may have the weights that the log was recorded with.
 
     Raises:
-        UsageError: there is no such step, a change that is none, or another simulator's log.
+        UsageError: there is no such step, a change that is none, or an external log.
         ConfigError: a value is out of range.
         PluginError, WeightsError: the planner or predictor cannot be loaded, or is not the one
             that the log was recorded with.

@@ -12,7 +12,7 @@ import typer
 from mapreplay.cli.output import LOST, ForceOption, Format, FormatOption, emit, note
 from mapreplay.errors import FloorPlanError, UsageError
 from mapreplay.files import make_folder
-from mapreplay.plugins import Group, find
+from mapreplay.plugins import PluginKind, find
 from mapreplay.text import shell_command
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ def run(
 ) -> None:
     """Simulate episodes and record every step to MCAP."""
     if planner is not None:
-        find(Group.PLANNERS, planner)  # before the slow imports
+        find(PluginKind.PLANNERS, planner)  # before the slow imports
     from mapreplay.planners import load_planner
     from mapreplay.predictors import load_predictor
 
