@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from mapreplay import mapping
 from mapreplay.analysis.logged_predictor import logged_predictor
-from mapreplay.config import EpisodeConfig
+from mapreplay.config import EpisodeConfig, PredictionDtype
 from mapreplay.episode import Episode, prepare_episode, run_episode
 from mapreplay.errors import UsageError
 from mapreplay.grid import FREE, OCCUPIED, Grid
@@ -66,7 +66,7 @@ class SetRight:
     predictor: Predictor
     truth: Grid
     thresholds: Thresholds
-    dtype: mapping.PredictionDtype
+    dtype: PredictionDtype
     """How it will be logged, and so thresholded."""
 
     @property
@@ -197,7 +197,7 @@ def prepare_branch(
         weights: Files, one of which may have the weights that the log was recorded with.
 
     Raises:
-        UsageError: there is no such step, a change that is none, or another simulator's log.
+        UsageError: there is no such step, a change that is none, or an external log.
         ConfigError: a value is out of range.
         PluginError, WeightsError: the planner or predictor cannot be loaded, or is not the one
             that the log was recorded with.

@@ -40,7 +40,7 @@ def logged_predictor(
             return load_network(path, device, name)
         others.append(f"{path} has {sha256[:_SHOWN]}")
     registered = None
-    if name in plugins.available(plugins.Group.PREDICTORS):
+    if name in plugins.available(plugins.PluginKind.PREDICTORS):
         registered = registered_predictor(name, device)
         if not others or registered.identity.sha256 == logged.sha256:
             return registered

@@ -32,8 +32,8 @@ from mapreplay.sensor import Hits, accumulate, sense
 from mapreplay.stages import (
     Knowledge,
     Past,
+    Surroundings,
     Travelled,
-    View,
     chosen_at,
     decide,
     make_step,
@@ -78,7 +78,7 @@ def verify(log: EpisodeLog, shown: int = SHOWN) -> Verification:
     """
     header = log.header
     if header.simulator != OURS:
-        return _verify_foreign(log, shown)
+        return _verify_external(log, shown)
     truth = header.floor_plan.cells
     findings = _Findings(log, shown)
     findings.add(_check_header(header))
@@ -133,8 +133,8 @@ def verify(log: EpisodeLog, shown: int = SHOWN) -> Verification:
     return findings.result()
 
 
-def _verify_foreign(log: EpisodeLog, shown: int) -> Verification:
-    """What can be checked of another simulator's steps: fusion, metrics, stamps and the end."""
+def _verify_external(log: EpisodeLog, shown: int) -> Verification:
+    """What can be checked of an external simulator's steps: fusion, metrics, stamps and the end."""
     header = log.header
     findings = _Findings(log, shown)
     findings.notes.append(
@@ -183,12 +183,12 @@ def verify_rerun(
 
     Raises:
         LogError: the log cannot be read.
-        UsageError: it was recorded by another simulator.
+        UsageError: it was recorded by an external simulator.
         PluginError, WeightsError: the planner or the predictor cannot be loaded.
         MapreplayError: one of them returned something impossible.
     """
     header = log.header
-    _refuse_foreign(log)
+    _refuse_external(log)
     findings = _Findings(log, shown)
     predictors = []
     for part in lineage(header):
@@ -226,7 +226,7 @@ def verify_step(
         PluginError, WeightsError: the planner or the predictor cannot be loaded.
         MapreplayError: one of them returned something impossible.
     """
-    _refuse_foreign(log)
+    _refuse_external(log)
     logged = log[index]
     header = log.header.at(logged.index)
     truth = header.floor_plan.cells
@@ -257,7 +257,7 @@ def verify_step(
     return findings.result()
 
 
-def _refuse_foreign(log: EpisodeLog) -> None:
+def _refuse_external(log: EpisodeLog) -> None:
     if log.header.simulator != OURS:
         raise UsageError(
             f"{log.path}: recorded by {log.header.simulator}, which cannot be run again here"
@@ -362,7 +362,7 @@ class _Planners:
         try:
             return planner_of(header)
         except PluginError as error:
-            known = name in plugins.available(plugins.Group.PLANNERS)
+            known = name in plugins.available(plugins.PluginKind.PLANNERS)
             reason = str(error) if known else f"planner {name!r} is not installed"
             self._findings.notes.append(f"{reason}: decisions not checked")
             return None
@@ -386,7 +386,7 @@ def _make_again(
     path_length = past.travelled.metres(header.floor_plan.resolution)
     metrics = measure(header, observed, p_wall, fused, path_length)
 
-    def decide_again(view: View) -> Decision | None:
+    def decide_again(view: Surroundings) -> Decision | None:
         if planner is not None:
             return decide(header, planner, past, observed, p_wall, view)
         return replace(logged.decision, mode=view.mode) if logged.decision else None

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from mapreplay.config import EpisodeConfig
     from mapreplay.episode import prepare_episode, run_episode
     from mapreplay.errors import MapreplayError
+    from mapreplay.external import ExternalEpisode, unknown_floor_plan
     from mapreplay.floorplan import FloorPlan
     from mapreplay.floorplans import open_source
-    from mapreplay.foreign import ForeignEpisode, unknown_floor_plan
     from mapreplay.recorders.log.reader import EpisodeLog
     from mapreplay.recorders.log.writer import EpisodeWriter
     from mapreplay.recorders.viewer.notebook import show
@@ -28,8 +28,8 @@ __all__ = [
     "EpisodeHeader",
     "EpisodeLog",
     "EpisodeWriter",
+    "ExternalEpisode",
     "FloorPlan",
-    "ForeignEpisode",
     "MapreplayError",
     "Step",
     "open_source",
@@ -44,15 +44,15 @@ _HOMES = {
     "EpisodeHeader": "mapreplay.step",
     "EpisodeLog": "mapreplay.recorders.log.reader",
     "EpisodeWriter": "mapreplay.recorders.log.writer",
+    "ExternalEpisode": "mapreplay.external",
     "FloorPlan": "mapreplay.floorplan",
-    "ForeignEpisode": "mapreplay.foreign",
     "MapreplayError": "mapreplay.errors",
     "Step": "mapreplay.step",
     "open_source": "mapreplay.floorplans",
     "prepare_episode": "mapreplay.episode",
     "run_episode": "mapreplay.episode",
     "show": "mapreplay.recorders.viewer.notebook",
-    "unknown_floor_plan": "mapreplay.foreign",
+    "unknown_floor_plan": "mapreplay.external",
 }
 
 

@@ -1,22 +1,26 @@
-"""Configuration of an episode: checked, frozen, and written whole into the log."""
+"""Configuration of an episode: checked, frozen, and written completely into the log.
+
+`mapreplay run --help` imports this module, which therefore imports neither NumPy nor our kernels.
+"""
 
 from __future__ import annotations
 
 import re
+import sys
 import tomllib
 from bisect import bisect_left
 from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, Final, Self
+from typing import TYPE_CHECKING, Annotated, Any, Final, Self
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from mapreplay.errors import ConfigError
-from mapreplay.grid import Cell
 from mapreplay.identify import identify
-from mapreplay.mapping import PredictionDtype
+
+if TYPE_CHECKING:
+    from mapreplay.grid import Cell
 
 
 class MapKind(StrEnum):
@@ -24,6 +28,14 @@ class MapKind(StrEnum):
 
     OBSERVED = "observed"
     FUSED = "fused"
+
+
+class PredictionDtype(StrEnum):
+    """How P(occupied) is quantized, used and logged."""
+
+    UINT8 = "uint8"
+    UINT16 = "uint16"
+    FLOAT32 = "float32"
 
 
 MAX_SEED = 2**63 - 1
@@ -63,35 +75,64 @@ class EpisodeConfig(BaseModel):
         frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False
     )
 
-    planner: str = "cost-utility"
+    planner: str = Field(
+        default="cost-utility",
+        description="random, nearest, cost-utility, informative-path, or a plug-in.",
+    )
     predictor: str = "none"
-    """Its name; of a path to weights the name of the file remains (see `predictor_name`)."""
-    plan_on: MapKind = MapKind.FUSED
-    """E: the map that paths and gains are computed on."""
-    build: MapKind = MapKind.FUSED
-    """U: the map under construction, whose coverage ends the episode."""
-    delta_free: Share = 0.93
-    delta_occupied: Share = 0.95
-    coverage: Annotated[Number, Field(gt=0, le=1)] = 0.98
-    """Target coverage of U."""
-    correct_coverage: Annotated[Number, Field(gt=0, le=1)] = 0.95
-    """Correct coverage whose first step is the second headline."""
-    fail_safe: Switch = False
-    start: tuple[Annotated[Whole, Field(ge=0)], Annotated[Whole, Field(ge=0)]] | None = None
-    """(row, col); None is the top-left free cell."""
-    max_steps: Annotated[Whole, Field(ge=1, le=10_000_000)] | None = None
-    """None is 4 x the explorable free cells."""
-    seed: Annotated[Whole, Field(ge=0, le=MAX_SEED)] = 1
-    rays: Annotated[Whole, Field(ge=8, le=360, multiple_of=8)] = 16
-    reach: Annotated[Whole, Field(ge=1, le=1000)] = 20
-    """Range of the sensor in cells."""
-    prediction_dtype: PredictionDtype = PredictionDtype.UINT8
+    """Name; of a path to weights the name of the file remains (see `predictor_name`)."""
+    plan_on: MapKind = Field(
+        default=MapKind.FUSED,
+        description="Planning map: the map on which paths and gains are computed.",
+    )
+    build: MapKind = Field(
+        default=MapKind.FUSED, description="Target map: the map whose coverage ends the episode."
+    )
+    delta_free: Share = Field(
+        default=0.93,
+        description="Confidence threshold: a cell is free if P(wall) <= (1 - delta) / 2.",
+    )
+    delta_occupied: Share = Field(
+        default=0.95,
+        description="Confidence threshold: a cell is occupied if P(wall) >= (1 + delta) / 2.",
+    )
+    coverage: Number = Field(
+        default=0.98, gt=0, le=1, description="Coverage of the target map that ends the episode."
+    )
+    correct_coverage: Number = Field(
+        default=0.95, gt=0, le=1, description="Correct coverage whose first step is reported."
+    )
+    fail_safe: Switch = Field(
+        default=False,
+        description="While sealed in, plan on observations instead of ending the episode.",
+    )
+    start: tuple[Annotated[Whole, Field(ge=0)], Annotated[Whole, Field(ge=0)]] | None = Field(
+        default=None,
+        description="Start cell; row 0 is at the bottom, as in ROS (default: the top-left free "
+        "cell).",
+    )
+    max_steps: Annotated[Whole, Field(ge=1, le=10_000_000)] | None = Field(
+        default=None, description="Step budget (default: 4 x the number of explorable free cells)."
+    )
+    seed: Whole = Field(default=1, ge=0, le=MAX_SEED, description="Seed of the random choices.")
+    rays: Whole = Field(
+        default=16,
+        ge=8,
+        le=360,
+        multiple_of=8,
+        description="Rays of the range sensor, a multiple of 8.",
+    )
+    reach: Whole = Field(default=20, ge=1, le=1000, description="Range of the sensor in cells.")
+    prediction_dtype: PredictionDtype = Field(
+        default=PredictionDtype.UINT8, description="How predictions are quantized, used and logged."
+    )
 
     @field_validator("*", mode="before")
     @classmethod
     def _plain(cls, value: object) -> object:
-        """NumPy's numbers are numbers."""
-        return value.item() if isinstance(value, np.generic) else value
+        """Convert NumPy scalars to Python numbers."""
+        numpy = sys.modules.get("numpy")  # loaded by the caller that passes a scalar of it
+        return value.item() if numpy and isinstance(value, numpy.generic) else value
 
     @field_validator("planner", "predictor")
     @classmethod
@@ -120,26 +161,41 @@ class EpisodeConfig(BaseModel):
     @property
     def start_cell(self) -> Cell | None:
         """`start` as a cell."""
+        from mapreplay.grid import Cell
+
         return None if self.start is None else Cell(*self.start)
 
 
 class RunConfig(EpisodeConfig):
-    """What `mapreplay run` does: the keys of its TOML file and of its command line."""
+    """What `mapreplay run` does: every field is an option and a key of its TOML file."""
 
-    predictor: str | None = None  # type: ignore[assignment]
-    """None is the one that suits the floor plans, or none where nothing asks for it. A name, or
-    a file of weights."""
-    floorplans: str = "procedural:60000"
-    ids: Path | None = None
-    """A file with one floor-plan id a line."""
-    resolution: Annotated[Number, Field(gt=0, le=10)] | None = None
-    """Metres a cell, for sources that are rasterized."""
-    episodes: Annotated[Whole, Field(ge=1, le=10_000_000)] | None = None
-    """None is one for each floor plan. More than there are plans: again, with the next seed."""
-    jobs: Annotated[Whole, Field(ge=1, le=1024)] = 1
-    device: str = "cpu"
-    profile: Switch = False
-    out: Path | None = None
+    floorplans: str = Field(
+        default="procedural:60000",
+        description="procedural:FIRST-LAST, HouseExpo archive, folder or file, map_server YAML, "
+        "image; grey levels of the last two: PATH:free=0.3,occupied=0.6,negate=1.",
+    )
+    ids: Path | None = Field(default=None, description="File with one floor-plan ID per line.")
+    resolution: Annotated[Number, Field(gt=0, le=10)] | None = Field(
+        default=None, description="Metres per cell, for sources that are rasterized."
+    )
+    predictor: str | None = Field(  # type: ignore[assignment]
+        default=None,
+        description="none, d1, d2, d2-unet, auto (chooses by the map), a plug-in, or a "
+        ".safetensors file (default: the one trained on such floor plans).",
+    )
+    episodes: Annotated[Whole, Field(ge=1, le=10_000_000)] | None = Field(
+        default=None,
+        description="Number of episodes (default: one per floor plan). If there are fewer floor "
+        "plans, they are repeated with the next seed, which matters only to random choices.",
+    )
+    jobs: Whole = Field(
+        default=1, ge=1, le=1024, description="Number of processes; each takes seconds to start."
+    )
+    device: str = Field(default="cpu", description="Device for the predictor: cpu, cuda, ...")
+    profile: Switch = Field(default=False, description="Record the time of each stage.")
+    out: Path | None = Field(
+        default=None, description="Folder for the logs (default: runs/<date-time>)."
+    )
 
     @field_validator("predictor")
     @classmethod

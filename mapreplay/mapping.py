@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import StrEnum
 from fractions import Fraction
 from functools import lru_cache
 from typing import Final, cast
@@ -16,16 +15,8 @@ from typing import Final, cast
 import numpy as np
 import numpy.typing as npt
 
+from mapreplay.config import PredictionDtype
 from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Grid, Quantized
-
-
-class PredictionDtype(StrEnum):
-    """How P(occupied) is quantized, used and logged."""
-
-    UINT8 = "uint8"
-    UINT16 = "uint16"
-    FLOAT32 = "float32"
-
 
 _TOP: Final = {np.dtype(np.uint8): 2**8 - 1, np.dtype(np.uint16): 2**16 - 1}
 """What stands for certainty, of the integer types."""

@@ -15,7 +15,7 @@ from typing import Any
 from mapreplay.errors import MapreplayError, PluginError
 
 
-class Group(StrEnum):
+class PluginKind(StrEnum):
     """The entry-point groups, and what one of each is called with."""
 
     PLANNERS = "mapreplay.planners"
@@ -43,45 +43,45 @@ class Plugin:
     entry: EntryPoint
 
 
-def available(group: Group) -> dict[str, Plugin]:
+def available(kind: PluginKind) -> dict[str, Plugin]:
     """All plug-ins of a group by name, sorted; nothing is imported.
 
     Of two with one name ours wins, so that an installed package cannot silently change what
     a built-in name means.
     """
     found: dict[str, Plugin] = {}
-    for entry in entry_points(group=group.value):
+    for entry in entry_points(group=kind.value):
         owner = entry.dist.name if entry.dist else "an unknown distribution"
         if entry.name not in found or owner == "mapreplay":
             found[entry.name] = Plugin(entry.name, owner, entry)
     return dict(sorted(found.items()))
 
 
-def find(group: Group, name: str) -> Plugin:
+def find(kind: PluginKind, name: str) -> Plugin:
     """The plug-in called `name`; nothing is imported.
 
     Raises:
         PluginError: there is none.
     """
-    plugins = available(group)
+    plugins = available(kind)
     if name not in plugins:
-        raise PluginError(f"unknown {group.noun} {name!r}; known: {', '.join(plugins) or 'none'}")
+        raise PluginError(f"unknown {kind.noun} {name!r}; known: {', '.join(plugins) or 'none'}")
     return plugins[name]
 
 
-def load(group: Group, name: str) -> Callable[..., Any]:
+def load(kind: PluginKind, name: str) -> Callable[..., Any]:
     """The factory called `name`.
 
     Raises:
         PluginError: there is none, or importing it failed.
     """
-    plugin = find(group, name)
+    plugin = find(kind, name)
     try:
         factory = plugin.entry.load()
-    except Exception as error:  # whatever a foreign module does while it is imported
-        raise PluginError(_broken(group, plugin, error)) from error
+    except Exception as error:  # anything that an external module does on import
+        raise PluginError(_broken(kind, plugin, error)) from error
     if not callable(factory):
-        raise PluginError(f"{group.noun} {name!r} of {plugin.distribution} is not callable")
+        raise PluginError(f"{kind.noun} {name!r} of {plugin.distribution} is not callable")
 
     def guarded(*args: Any) -> Any:
         try:
@@ -89,14 +89,14 @@ def load(group: Group, name: str) -> Callable[..., Any]:
         except MapreplayError:
             raise
         except Exception as error:
-            raise PluginError(_broken(group, plugin, error)) from error
+            raise PluginError(_broken(kind, plugin, error)) from error
 
     return guarded
 
 
-def _broken(group: Group, plugin: Plugin, error: Exception) -> str:
+def _broken(kind: PluginKind, plugin: Plugin, error: Exception) -> str:
     reason = " ".join(str(error).split()) or "no message"
     return (
-        f"{group.noun} {plugin.name!r} of {plugin.distribution} cannot be loaded "
+        f"{kind.noun} {plugin.name!r} of {plugin.distribution} cannot be loaded "
         f"({type(error).__name__}: {reason})"
     )

@@ -52,7 +52,7 @@ class Coverage:
 
 
 @dataclass(frozen=True)
-class Calibration:
+class PredictionScore:
     """Of P(occupied); NaN where no cell counts."""
 
     brier: float
@@ -100,7 +100,7 @@ def coverage(counts: Counts) -> Coverage:
     return Coverage(_ratio(known, total), _ratio(right, total))
 
 
-def calibration(p_wall: Quantized, truth: Grid, region: Mask) -> Calibration:
+def calibration(p_wall: Quantized, truth: Grid, region: Mask) -> PredictionScore:
     """Brier score and log loss of `p_wall` (as it is logged, [H, W]) on the cells of `region`.
 
     The log loss clips to half of the step between two probabilities as logged, so that a
@@ -115,8 +115,8 @@ def calibration(p_wall: Quantized, truth: Grid, region: Mask) -> Calibration:
         of_error, of_loss = _penalties_of_levels(p_wall.dtype)
         errors, losses = of_error.take(codes[:count]), of_loss.take(codes[:count])
     if errors.size == 0:
-        return Calibration(float("nan"), float("nan"))
-    return Calibration(float(np.mean(errors)), float(np.mean(losses)))
+        return PredictionScore(float("nan"), float("nan"))
+    return PredictionScore(float(np.mean(errors)), float(np.mean(losses)))
 
 
 def _penalties(levels: Quantized, wall: Mask) -> tuple[Reals, Reals]:

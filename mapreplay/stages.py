@@ -128,7 +128,7 @@ def predict(header: EpisodeHeader, predictor: Predictor, observed: Grid) -> Quan
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class Surroundings:
     """What the agent can go for at a step, and on which maps."""
 
     mode: Mode
@@ -138,7 +138,7 @@ class View:
     frontier: Cells
 
 
-def look_around(config: EpisodeConfig, agent: Cell, observed: Grid, fused: Grid) -> View:
+def look_around(config: EpisodeConfig, agent: Cell, observed: Grid, fused: Grid) -> Surroundings:
     """The frontier of the configured maps, or of the observed ones where that is the rule.
 
     When planning on observations finds no frontier of the fused map, that of the observed
@@ -150,19 +150,19 @@ def look_around(config: EpisodeConfig, agent: Cell, observed: Grid, fused: Grid)
     paths = shortest_paths(plan_map, agent)
     cells = frontier(paths, build_map)
     if len(cells):
-        return View(Mode.NORMAL, plan_map, build_map, paths, cells)
+        return Surroundings(Mode.NORMAL, plan_map, build_map, paths, cells)
     if config.plan_on is MapKind.OBSERVED:
-        return View(Mode.NORMAL, plan_map, observed, paths, frontier(paths, observed))
+        return Surroundings(Mode.NORMAL, plan_map, observed, paths, frontier(paths, observed))
     if config.fail_safe and config.build is MapKind.FUSED:
         paths = shortest_paths(observed, agent)
         cells = frontier(paths, observed)
         if len(cells):
-            return View(Mode.FAIL_SAFE, observed, observed, paths, cells)
-    return View(Mode.NORMAL, plan_map, build_map, paths, cells)
+            return Surroundings(Mode.FAIL_SAFE, observed, observed, paths, cells)
+    return Surroundings(Mode.NORMAL, plan_map, build_map, paths, cells)
 
 
 def outcome_of(
-    header: EpisodeHeader, index: int, metrics: StepMetrics, view: View
+    header: EpisodeHeader, index: int, metrics: StepMetrics, view: Surroundings
 ) -> Outcome | None:
     """How the episode ends at step `index`, or None if it goes on."""
     config = header.config
@@ -179,7 +179,7 @@ def events_of(
     header: EpisodeHeader,
     past: Past,
     metrics: StepMetrics,
-    view: View,
+    view: Surroundings,
     outcome: Outcome | None,
     choice: str | None = None,
 ) -> tuple[Event, ...]:
@@ -210,7 +210,7 @@ def ask(
     past: Past,
     observed: Grid,
     p_wall: Quantized | None,
-    view: View,
+    view: Surroundings,
 ) -> Choice:
     """What the planner makes of the frontier of `view`: a rating of each of its cells.
 
@@ -248,7 +248,7 @@ def decide(
     past: Past,
     observed: Grid,
     p_wall: Quantized | None,
-    view: View,
+    view: Surroundings,
 ) -> Decision:
     """Ask the planner, and write down what it chose and what it left.
 
@@ -269,7 +269,7 @@ def decide(
     )
 
 
-def _candidates(view: View, choice: Choice, indices: list[int]) -> tuple[Candidate, ...]:
+def _candidates(view: Surroundings, choice: Choice, indices: list[int]) -> tuple[Candidate, ...]:
     """The frontier cells of those numbers, with how they were rated."""
     cells = view.frontier[indices]
     rows, cols = cells[:, 0], cells[:, 1]
@@ -300,7 +300,7 @@ class Knowledge:
     """What the predictor said that it chose; see `mapreplay.predictors.Choosing`."""
 
 
-Decide: TypeAlias = Callable[[View], Decision | None]
+Decide: TypeAlias = Callable[[Surroundings], Decision | None]
 """Makes a decision of what can be gone for; it is not asked where the episode ends."""
 
 
@@ -325,7 +325,7 @@ def make_step(header: EpisodeHeader, past: Past, known: Knowledge, decide: Decid
 
 
 _NO_SCORE: Final = scores.MapScore(*[float("nan")] * 4)
-_NO_CALIBRATION: Final = scores.Calibration(*[float("nan")] * 2)
+_NO_PREDICTION: Final = scores.PredictionScore(*[float("nan")] * 2)
 
 
 def measure(
@@ -346,7 +346,7 @@ def measure(
     observed_score = scores.score(observed_counts, unknown_as)
     fused_counts, built_score = observed_counts, observed_score
     thresholded_score = raw_score = _NO_SCORE
-    everywhere = unobserved = _NO_CALIBRATION
+    everywhere = unobserved = _NO_PREDICTION
     if p_wall is not None:
         fused_counts = scores.tally(fused, truth, region)
         if header.config.build is MapKind.FUSED:

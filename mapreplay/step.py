@@ -180,7 +180,7 @@ class Step:
     index: int
     agent: Cell
     hits: Hits
-    """int16[rays], see `mapreplay.sensor`; int16[0] in a foreign log without scans."""
+    """int16[rays], see `mapreplay.sensor`; int16[0] in an external log without scans."""
     observed: Grid
     """int8[H, W]."""
     p_wall: Quantized | None

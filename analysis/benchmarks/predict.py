@@ -12,10 +12,11 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from mapreplay.config import PredictionDtype
 from mapreplay.floorplan import explorable
 from mapreplay.floorplans.procedural import generate
 from mapreplay.grid import Grid
-from mapreplay.mapping import PredictionDtype, quantize
+from mapreplay.mapping import quantize
 from mapreplay.predictors.network import one_hot
 from mapreplay.predictors.trained import TrainedPredictor, load_model
 from mapreplay.sensor import Sensor

@@ -1,4 +1,4 @@
-"""Benchmarks of the simulator: how fast it is, and what a predictor is worth in it."""
+"""Benchmarks of the simulator: how fast it is, and how much time a predictor saves in it."""
 
 from __future__ import annotations
 
@@ -61,8 +61,8 @@ def median_rate(timings: Iterable[Timing]) -> float:
 
 
 @dataclass(frozen=True)
-class Worth:
-    """What a predictor was worth on one floor plan."""
+class Saving:
+    """The mapping time that a predictor saved on one floor plan, and how well it predicted."""
 
     floor_plan: str
     reference_time: int
@@ -83,9 +83,9 @@ class Worth:
         return 1 - self.time / self.reference_time
 
 
-def measure_worth(
+def measure_savings(
     plans: Iterable[FloorPlan], planner: str, predictor: Predictor, reference: str = "nearest"
-) -> Iterator[Worth]:
+) -> Iterator[Saving]:
     """`planner` on fused/fused with fail-safe against `reference` on observed/observed."""
     baseline = EpisodeConfig(planner=reference, plan_on=MapKind.OBSERVED, build=MapKind.OBSERVED)
     proposal = EpisodeConfig(planner=planner, predictor=predictor.identity.name, fail_safe=True)
@@ -93,7 +93,7 @@ def measure_worth(
         expected = _last(run_episode(prepare_episode(baseline, plan)))
         episode = prepare_episode(proposal, plan, predictor=predictor)
         got = _last(run_episode(episode))
-        yield Worth(
+        yield Saving(
             plan.id,
             max(expected.index, 1),
             max(got.index, 1),
@@ -111,7 +111,7 @@ def _last(steps: Iterator[Step]) -> Step:
 
 
 @dataclass(frozen=True)
-class MeanWorth:
+class MeanSaving:
     """Over floor plans, with 95 % BCa bootstrap intervals over them."""
 
     reduction: Estimate
@@ -124,11 +124,11 @@ class MeanWorth:
     """Share of them that both thresholds take for known."""
 
 
-def mean_worth(rows: Sequence[Worth]) -> MeanWorth:
+def mean_saving(rows: Sequence[Saving]) -> MeanSaving:
     """Means over the floor plans, at least one."""
     counts, config = [row.counts for row in rows], EpisodeConfig()
     thresholds = Thresholds(config.delta_free, config.delta_occupied)
-    return MeanWorth(
+    return MeanSaving(
         reduction=mean_interval([row.reduction for row in rows]),
         correct=mean_interval([row.correct for row in rows]),
         f1=mean_interval([row.f1 for row in rows]),

@@ -195,7 +195,7 @@ def rating(log: EpisodeLog, step: Step, before: Decision | None, cell: Cell) -> 
         if candidate.cell == cell:
             return candidate
     header = log.header.at(step.index)
-    if header.config.planner not in plugins.available(plugins.Group.PLANNERS):
+    if header.config.planner not in plugins.available(plugins.PluginKind.PLANNERS):
         return None
     view = look_around(header.config, step.agent, step.observed, step.fused)
     there = np.flatnonzero((view.frontier == cell).all(axis=1))

@@ -145,7 +145,7 @@ def _differing(moment: Moment, *, same_planner: bool) -> Iterator[Layer]:
         if name == "decision":
             yield from _parts_of_decision(a.decision, b.decision, same_planner=same_planner)
         elif name == "agent":
-            # Apart without a logged decision that says so: another simulator's episodes.
+            # Apart without a logged decision that says so: external episodes.
             yield Layer.START if a.index == 0 else Layer.MOVE
         elif name in _OF_FIELD:
             yield _OF_FIELD[name]

@@ -19,13 +19,13 @@ import numpy.typing as npt
 
 from mapreplay import mapping, scores
 from mapreplay.analysis.metrics.calibration import PredictionCounts, count_cells, no_cells
-from mapreplay.config import EpisodeConfig, MapKind
+from mapreplay.config import EpisodeConfig, MapKind, PredictionDtype
 from mapreplay.episode import prepare_episode, run_episode
 from mapreplay.errors import MapreplayError
 from mapreplay.files import whole_path
 from mapreplay.floorplan import FloorPlan
 from mapreplay.grid import Grid, Mask
-from mapreplay.mapping import PredictionDtype, Thresholds
+from mapreplay.mapping import Thresholds
 from mapreplay.predictors import Predictor
 from mapreplay.step import PredictorIdentity
 from mapreplay.text import one_line

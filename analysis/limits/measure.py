@@ -22,12 +22,12 @@ from mapreplay.analysis.limits.task import CoverageTask, Ints, task_of
 from mapreplay.analysis.limits.tour import Tour, short_tour
 from mapreplay.analysis.pool import map_unordered
 from mapreplay.analysis.stats.estimates import Estimate, mean_interval, paired_reduction
-from mapreplay.config import EpisodeConfig, MapKind
+from mapreplay.config import EpisodeConfig, MapKind, PredictionDtype
 from mapreplay.episode import prepare_episode, run_episode
 from mapreplay.errors import MapreplayError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.grid import UNKNOWN, Cell, Grid
-from mapreplay.mapping import PredictionDtype, Thresholds
+from mapreplay.mapping import Thresholds
 from mapreplay.predictors import Predictor, kept_predictor
 from mapreplay.sensor import Sensor
 

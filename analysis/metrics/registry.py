@@ -62,7 +62,7 @@ def load_metric(name: str) -> Metric:
     Raises:
         PluginError: there is none, or it is broken.
     """
-    return cast("Metric", plugins.load(plugins.Group.METRICS, name)())
+    return cast("Metric", plugins.load(plugins.PluginKind.METRICS, name)())
 
 
 def guarded(name: str, metric: Metric, header: EpisodeHeader, region: Mask, step: Step) -> float:

@@ -30,7 +30,7 @@ from mapreplay.cli.ls import ls
 from mapreplay.cli.metrics import metrics
 from mapreplay.cli.output import say
 from mapreplay.cli.recover import recover
-from mapreplay.cli.run import run
+from mapreplay.cli.run import RunCommand, run
 from mapreplay.cli.streams import standard_streams
 from mapreplay.cli.train import train
 from mapreplay.cli.verify import verify
@@ -81,8 +81,9 @@ def _mapreplay(
         say(context.get_help())
 
 
+app.command(cls=RunCommand)(run)
 for _verb in (
-    run, view, ls, info, metrics, compare, diagnose, diff, branch, whatif, bundle, recover,
+    view, ls, info, metrics, compare, diagnose, diff, branch, whatif, bundle, recover,
     export, floorplans, train, verify, experiment,
 ):  # fmt: skip
     app.command()(_verb)

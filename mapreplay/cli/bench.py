@@ -1,4 +1,4 @@
-"""`mapreplay bench`: how fast simulator, predictor and log are, and what a predictor is worth."""
+"""`mapreplay bench`: speed of simulator, predictor and log; time that a predictor saves."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from mapreplay.errors import FloorPlanError, UsageError
 from mapreplay.files import write_whole
 
 if TYPE_CHECKING:
-    from mapreplay.analysis.benchmarks.simulator import Worth
+    from mapreplay.analysis.benchmarks.simulator import Saving
     from mapreplay.analysis.limits.measure import PlanLimit
     from mapreplay.floorplan import FloorPlan
 
 bench_app = typer.Typer(
     invoke_without_command=True,
     rich_markup_mode=None,
-    help="Measure speed, and what a predictor is worth.",
+    help="Measure speed, and the mapping time that a predictor saves.",
 )
 
 
@@ -95,7 +95,7 @@ def view(
 
 
 @bench_app.command()
-def worth(
+def savings(
     predictor: Annotated[str, typer.Option(help="Name, or a .safetensors file.")],
     floorplans: SpecOption = "procedural:50000-50049",
     ids: IdsOption = None,
@@ -110,7 +110,7 @@ def worth(
     """
     import polars as pl
 
-    from mapreplay.analysis.benchmarks.simulator import mean_worth, measure_worth
+    from mapreplay.analysis.benchmarks.simulator import mean_saving, measure_savings
     from mapreplay.analysis.reporting.wording import counted, percent, reduction, with_interval
     from mapreplay.cli.progress import progress_bar
     from mapreplay.predictors import load_predictor
@@ -120,15 +120,15 @@ def worth(
     with progress_bar() as bar:
         rows = list(
             bar.track(
-                measure_worth(plans, planner, loaded),
+                measure_savings(plans, planner, loaded),
                 len(plans),
                 description=f"{predictor} episodes",
             )
         )
-    emit(pl.DataFrame([_columns(row) for row in rows]), "mapreplay.bench.worth/2", form)
+    emit(pl.DataFrame([_columns(row) for row in rows]), "mapreplay.bench.savings/1", form)
     if not rows:
         raise FloorPlanError(f"{floorplans}: no floor plan to measure on")
-    mean = mean_worth(rows)
+    mean = mean_saving(rows)
     note(
         f"{counted(mean.reduction.plans, 'floor plan')}: mapping time {reduction(mean.reduction)}, "
         f"correct coverage {with_interval(mean.correct, 3)}, F1 {with_interval(mean.f1, 3)}"
@@ -139,7 +139,7 @@ def worth(
     )
 
 
-def _columns(row: Worth) -> dict[str, object]:
+def _columns(row: Saving) -> dict[str, object]:
     from mapreplay.analysis.metrics.calibration import calibration_scores
 
     scores = calibration_scores(row.counts)

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mapreplay.cli.options import command_of
 from mapreplay.cli.output import LOST, ForceOption, Format, FormatOption, emit, note
 from mapreplay.errors import FloorPlanError, UsageError
 from mapreplay.files import make_folder
-from mapreplay.plugins import Group, find
+from mapreplay.plugins import PluginKind, find
 from mapreplay.text import shell_command
 
 if TYPE_CHECKING:
@@ -24,87 +25,19 @@ TRAINED_AT = 0.2
 """Metres a cell of the floor plans that our predictors were trained on."""
 
 
+def _load_model() -> type[RunConfig]:
+    from mapreplay.config import RunConfig
+
+    return RunConfig
+
+
+RunCommand = command_of(_load_model)
+
+
 def run(
-    floorplans: Annotated[
-        str | None,
-        typer.Option(
-            help="procedural:FIRST-LAST, HouseExpo archive, folder or file, map_server YAML, "
-            "image; greys of the last two: PATH:free=0.3,occupied=0.6,negate=1."
-        ),
-    ] = None,
-    ids: Annotated[Path | None, typer.Option(help="File with one floor-plan id a line.")] = None,
-    planner: Annotated[
-        str | None,
-        typer.Option(
-            help="random, nearest, cost-utility (default), informative-path, or a plug-in's."
-        ),
-    ] = None,
-    predictor: Annotated[
-        str | None,
-        typer.Option(
-            help="none, d1, d2, auto (chooses by the map), a plug-in's, or a .safetensors file; by "
-            "default what suits the floor plans."
-        ),
-    ] = None,
-    plan_on: Annotated[
-        str | None, typer.Option(help="Map to plan on: observed or fused (default).")
-    ] = None,
-    build: Annotated[
-        str | None, typer.Option(help="Map to build: observed or fused (default).")
-    ] = None,
-    delta_free: Annotated[
-        float | None,
-        typer.Option(help="Free where P(wall) <= (1 - delta) / 2 (default delta 0.93)."),
-    ] = None,
-    delta_occupied: Annotated[
-        float | None,
-        typer.Option(help="Occupied where P(wall) >= (1 + delta) / 2 (default delta 0.95)."),
-    ] = None,
-    coverage: Annotated[
-        float | None, typer.Option(help="Target coverage of the built map (default 0.98).")
-    ] = None,
-    fail_safe: Annotated[
-        bool | None,
-        typer.Option("--fail-safe/--no-fail-safe", help="Plan on observations while sealed in."),
-    ] = None,
-    start: Annotated[
-        str | None,
-        typer.Option(
-            help="ROW,COL; row 0 is at the bottom, as in ROS (default: the top-left free cell)."
-        ),
-    ] = None,
-    max_steps: Annotated[
-        int | None, typer.Option(help="Budget (default 4 x the explorable free cells).")
-    ] = None,
-    seed: Annotated[int | None, typer.Option(help="Of the random choices (default 1).")] = None,
-    episodes: Annotated[
-        int | None,
-        typer.Option(
-            help="How many (default: one for each floor plan). More than there are plans: "
-            "again with the next seed, which changes only what is random."
-        ),
-    ] = None,
-    resolution: Annotated[
-        float | None, typer.Option(help="Metres a cell, where it can be chosen.")
-    ] = None,
-    prediction_dtype: Annotated[
-        str | None, typer.Option(help="uint8 (default), uint16 or float32.")
-    ] = None,
-    jobs: Annotated[
-        int | None, typer.Option(help="Processes (default 1); each takes seconds to start.")
-    ] = None,
-    device: Annotated[
-        str | None, typer.Option(help="Of the predictor: cpu (default), cuda, ...")
-    ] = None,
-    profile: Annotated[
-        bool | None, typer.Option("--profile/--no-profile", help="Record the time of each stage.")
-    ] = None,
+    context: typer.Context,
     config: Annotated[
         Path | None, typer.Option(help="TOML file with these options as keys.")
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", help="Folder for the logs (default runs/<date-time>)."),
     ] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Skip the episodes that are finished in --out.")
@@ -114,20 +47,11 @@ def run(
     force: ForceOption = False,
 ) -> None:
     """Simulate episodes and record every step to MCAP."""
-    if planner is not None:
-        find(Group.PLANNERS, planner)  # before the slow imports
+    settings = _settings(config, context.obj)
+    find(PluginKind.PLANNERS, settings.planner)  # before the slow imports
     from mapreplay.planners import load_planner
     from mapreplay.predictors import load_predictor
 
-    given = {
-        "floorplans": floorplans, "ids": ids, "planner": planner, "predictor": predictor,
-        "plan_on": plan_on, "build": build, "delta_free": delta_free,
-        "delta_occupied": delta_occupied, "coverage": coverage, "fail_safe": fail_safe,
-        "start": _parse_start(start), "max_steps": max_steps, "seed": seed,
-        "episodes": episodes, "resolution": resolution, "prediction_dtype": prediction_dtype,
-        "jobs": jobs, "device": device, "profile": profile, "out": out,
-    }  # fmt: skip
-    settings = _settings(config, {key: value for key, value in given.items() if value is not None})
     if resume and settings.out is None:
         raise UsageError("run --resume: name the folder of the stopped run with --out")
     folder = settings.out or Path("runs") / datetime.now().strftime("%Y%m%d-%H%M%S")
@@ -166,22 +90,13 @@ def run(
         raise typer.Exit(LOST)
 
 
-def _parse_start(text: str | None) -> tuple[int, int] | None:
-    if text is None:
-        return None
-    row, comma, col = text.partition(",")
-    if not (comma and row.strip().isdecimal() and col.strip().isdecimal()):
-        raise UsageError(f"--start {text}: expected ROW,COL, two cell numbers, like 12,40")
-    return int(row), int(col)
-
-
 def _settings(path: Path | None, given: dict[str, Any]) -> RunConfig:
     from mapreplay.config import RunConfig, read_toml
 
-    if path is None:
-        return RunConfig.of(given, "run")
-    from_file = read_toml(path)
-    RunConfig.of(from_file, str(path))  # so that its errors name the file
+    from_file: dict[str, Any] = {}
+    if path is not None:
+        from_file = read_toml(path)
+        RunConfig.of(from_file, str(path))  # so that its errors name the file
     return RunConfig.of(from_file | given, "run")
 
 

@@ -120,7 +120,7 @@ def open_source(spec: str, resolution: float | None = None) -> FloorPlanSource:
         PluginError: a source of somebody else's is broken.
     """
     name, _, rest = spec.partition(":")
-    if name in plugins.available(plugins.Group.FLOORPLANS):
+    if name in plugins.available(plugins.PluginKind.FLOORPLANS):
         return _open(name, rest, resolution)
     name, options = split_options(spec)
     path = Path(name)
@@ -163,12 +163,12 @@ def _contents(folder: Path) -> str:
 
 
 def _open(name: str, rest: str, resolution: float | None) -> FloorPlanSource:
-    factory = plugins.load(plugins.Group.FLOORPLANS, name)
+    factory = plugins.load(plugins.PluginKind.FLOORPLANS, name)
     return cast("FloorPlanSource", factory(rest, resolution))
 
 
 def _understood() -> str:
-    names = ", ".join(plugins.available(plugins.Group.FLOORPLANS))
+    names = ", ".join(plugins.available(plugins.PluginKind.FLOORPLANS))
     return (
         f"understood are the sources {names} (as in procedural:60000-60099), "
         f"files ending in {', '.join(ENDINGS)}, and folders of these"

@@ -298,7 +298,7 @@ def find_houses(folder: Path) -> list[Path]:
 
 
 def open_source(rest: str, resolution: float | None) -> HouseExpoSource:
-    """The source ``houseexpo``; see `mapreplay.plugins.Group.FLOORPLANS`.
+    """The source ``houseexpo``; see `mapreplay.plugins.PluginKind.FLOORPLANS`.
 
     Raises:
         UsageError: no path, or a resolution that is out of range.

@@ -89,7 +89,7 @@ def find_images(folder: Path) -> list[Path]:
 
 
 def open_source(rest: str, resolution: float | None) -> ImageSource:
-    """The source ``image``; see `mapreplay.plugins.Group.FLOORPLANS`.
+    """The source ``image``; see `mapreplay.plugins.PluginKind.FLOORPLANS`.
 
     Raises:
         UsageError: no path, a resolution that is not a positive number, or options that are

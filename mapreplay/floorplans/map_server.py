@@ -320,7 +320,7 @@ def _has_image_key(text: str) -> bool:
 
 
 def open_source(rest: str, resolution: float | None) -> MapServerSource:
-    """The source ``map_server``; see `mapreplay.plugins.Group.FLOORPLANS`.
+    """The source ``map_server``; see `mapreplay.plugins.PluginKind.FLOORPLANS`.
 
     Raises:
         UsageError: no path, a resolution was asked for, or options that are none.

@@ -163,7 +163,7 @@ class ProceduralSource:
 
 
 def open_source(rest: str, resolution: float | None) -> ProceduralSource:
-    """The source ``procedural``; see `mapreplay.plugins.Group.FLOORPLANS`.
+    """The source ``procedural``; see `mapreplay.plugins.PluginKind.FLOORPLANS`.
 
     Raises:
         UsageError: not a range of seeds, or another resolution was asked for.

@@ -49,7 +49,7 @@ def load_planner(name: str) -> Planner:
     Raises:
         PluginError: there is none, or it is broken.
     """
-    return cast("Planner", plugins.load(plugins.Group.PLANNERS, name)())
+    return cast("Planner", plugins.load(plugins.PluginKind.PLANNERS, name)())
 
 
 def planner_of(header: EpisodeHeader) -> Planner:

@@ -17,7 +17,7 @@ from mapreplay.planners.informative_path import InformativePath
 from mapreplay.planning import Float64s, Situation
 
 
-class CostUtility:
+class CostUtility1:
     """`mapreplay.planners.cost_utility.CostUtility`, with rounded gains."""
 
     def choose(self, situation: Situation) -> Choice:
@@ -32,7 +32,7 @@ class CostUtility:
         return Choice(best(utility, situation.costs), utility, reward)
 
 
-class Informative(InformativePath):
+class InformativePath1(InformativePath):
     """`InformativePath`, with gains as they come."""
 
     @staticmethod
@@ -42,7 +42,7 @@ class Informative(InformativePath):
 
 
 PLANNERS: Final[dict[str, Planner]] = {
-    "cost-utility": CostUtility(),
-    "informative-path": Informative(),
+    "cost-utility": CostUtility1(),
+    "informative-path": InformativePath1(),
 }
 """By the names in the logs; the others decide as they did."""

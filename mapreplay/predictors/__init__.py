@@ -89,9 +89,9 @@ def registered_predictor(name: str, device: str = "cpu") -> Predictor:
         PluginError: there is none, or it is broken.
     """
     try:
-        factory = plugins.load(plugins.Group.PREDICTORS, name)
+        factory = plugins.load(plugins.PluginKind.PREDICTORS, name)
     except PluginError as error:
-        if name in plugins.available(plugins.Group.PREDICTORS):
+        if name in plugins.available(plugins.PluginKind.PREDICTORS):
             raise
         what = identify_file(Path(name))
         is_a = f"; {name} is {what}" if what else ""

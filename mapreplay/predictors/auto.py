@@ -31,7 +31,7 @@ PARAMETERS: Final = Path(__file__).parent / "weights_v1" / "auto.json"
 UNSURE: Final = "unsure: nothing is predicted"
 
 
-class Kind(StrEnum):
+class PlanKind(StrEnum):
     """What a floor plan can be, in the order of the columns of `Classifier.out`."""
 
     D1 = "d1"
@@ -39,7 +39,7 @@ class Kind(StrEnum):
     NEITHER = "neither"
 
 
-PREDICTOR_OF: Final[Mapping[Kind, str]] = {Kind.D1: "d1", Kind.D2: "d2"}
+PREDICTOR_OF: Final[Mapping[PlanKind, str]] = {PlanKind.D1: "d1", PlanKind.D2: "d2"}
 """The registered predictor of each kind; a kind without one is not predicted."""
 
 
@@ -52,7 +52,7 @@ class Classifier:
     hidden_bias: npt.NDArray[np.float64]
     """float64[n]."""
     out: npt.NDArray[np.float64]
-    """float64[n, 3]: for each `Kind`."""
+    """float64[n, 3]: for each `PlanKind`."""
     out_bias: npt.NDArray[np.float64]
     """float64[3]."""
     sure: float
@@ -66,14 +66,14 @@ class Classifier:
         p: npt.NDArray[np.float64] = odds / odds.sum(axis=-1, keepdims=True)
         return p
 
-    def kind(self, observed: Grid) -> Kind:
+    def kind(self, observed: Grid) -> PlanKind:
         """The kind of floor plan that int8[H, W] `observed` is surely of, or neither."""
         counts = count_words(observed)
         if not counts.any():
-            return Kind.NEITHER
+            return PlanKind.NEITHER
         p = self.probabilities(counts)
         best = int(p.argmax())
-        return list(Kind)[best] if p[best] >= self.sure else Kind.NEITHER
+        return list(PlanKind)[best] if p[best] >= self.sure else PlanKind.NEITHER
 
 
 def read_classifier(path: Path = PARAMETERS) -> Classifier:
@@ -84,7 +84,7 @@ def read_classifier(path: Path = PARAMETERS) -> Classifier:
     """
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
-        if data["kinds"] != list(Kind) or list(data["hidden"]) != list(WORDS):
+        if data["kinds"] != list(PlanKind) or list(data["hidden"]) != list(WORDS):
             raise WeightsError(f"{path}: a classifier of other words or kinds")
         arrays = [
             np.array(list(data["hidden"].values()), np.float64),
@@ -98,7 +98,7 @@ def read_classifier(path: Path = PARAMETERS) -> Classifier:
             f"{path}: not the parameters of a classifier ({one_line(error)})"
         ) from None
     units = arrays[0].shape[-1]
-    shapes = [(len(WORDS), units), (units,), (units, len(Kind)), (len(Kind),)]
+    shapes = [(len(WORDS), units), (units,), (units, len(PlanKind)), (len(PlanKind),)]
     if [a.shape for a in arrays] != shapes or not all(np.isfinite(a).all() for a in arrays):
         raise WeightsError(f"{path}: not the parameters of a classifier (wrong numbers)")
     hidden, hidden_bias, out, out_bias = arrays
@@ -113,7 +113,7 @@ def save_classifier(classifier: Classifier, path: Path, card: Mapping[str, objec
 
     data = {
         **card,
-        "kinds": list(Kind),
+        "kinds": list(PlanKind),
         "sure": classifier.sure,
         "out_bias": rounded(classifier.out_bias),
         "out": rounded(classifier.out),
@@ -128,7 +128,7 @@ class AutoPredictor:
     """Chooses for every map anew which predictor predicts, or that none does."""
 
     def __init__(
-        self, classifier: Classifier, predictors: Mapping[Kind, Predictor], sha256: str
+        self, classifier: Classifier, predictors: Mapping[PlanKind, Predictor], sha256: str
     ) -> None:
         """`sha256` is that of the classifier's parameters; that of `identity` covers all parts."""
         self._classifier = classifier

@@ -28,7 +28,7 @@ from mapreplay.floorplan import FloorPlan, explorable
 from mapreplay.floorplans import by_sha256, open_source, read_ids
 from mapreplay.floorplans.procedural import generate
 from mapreplay.grid import FREE, Grid
-from mapreplay.predictors.auto import Classifier, Kind, save_classifier
+from mapreplay.predictors.auto import Classifier, PlanKind, save_classifier
 from mapreplay.predictors.auto_features import count_words
 from mapreplay.sensor import Sensor
 from mapreplay.training.dataset import prepare_plan
@@ -104,13 +104,13 @@ def fit(examples: Mapping[str, Examples], seed: int) -> Classifier:
     weight decay, Adam on all examples at once.
     """
     torch.manual_seed(seed)
-    sorts = {kind: [name for name in examples if kind_of(name) is kind] for kind in Kind}
+    sorts = {kind: [name for name in examples if kind_of(name) is kind] for kind in PlanKind}
     inputs = np.log1p(np.concatenate([part.counts for part in examples.values()]))
     mean, scale = inputs.mean(axis=0), inputs.std(axis=0) + 0.05
     x = torch.from_numpy(((inputs - mean) / scale).astype(np.float32))
     y = torch.cat(
         [
-            torch.full((len(part.counts),), list(Kind).index(kind_of(name)))
+            torch.full((len(part.counts),), list(PlanKind).index(kind_of(name)))
             for name, part in examples.items()
         ]
     )
@@ -120,7 +120,7 @@ def fit(examples: Mapping[str, Examples], seed: int) -> Classifier:
             for name, part in examples.items()
         ]
     )
-    hidden, out = torch.nn.Linear(x.shape[1], HIDDEN), torch.nn.Linear(HIDDEN, len(Kind))
+    hidden, out = torch.nn.Linear(x.shape[1], HIDDEN), torch.nn.Linear(HIDDEN, len(PlanKind))
     optimizer = torch.optim.AdamW(
         [*hidden.parameters(), *out.parameters()], lr=1e-2, weight_decay=WEIGHT_DECAY
     )
@@ -143,9 +143,9 @@ def fit(examples: Mapping[str, Examples], seed: int) -> Classifier:
     )
 
 
-def kind_of(sort: str) -> Kind:
+def kind_of(sort: str) -> PlanKind:
     """The kind of the floor plans of that sort."""
-    return Kind(sort) if sort in (Kind.D1, Kind.D2) else Kind.NEITHER
+    return PlanKind(sort) if sort in (PlanKind.D1, PlanKind.D2) else PlanKind.NEITHER
 
 
 WEIGHT_DECAY: Final = 0.05

@@ -15,11 +15,11 @@ from mapreplay.workers import in_order
 AHEAD: Final = 4
 """Batches that each process is told to make in advance."""
 
-Group: TypeAlias = Sequence[tuple[int, int]]
+BatchMaps: TypeAlias = Sequence[tuple[int, int]]
 """(index of plan, run) of each map of a batch."""
 
 
-class Place(NamedTuple):
+class BatchPosition(NamedTuple):
     """Where a batch comes in the training."""
 
     epoch: int
@@ -27,19 +27,19 @@ class Place(NamedTuple):
 
 
 def batches_from(
-    epoch: Callable[[int], Epoch], first: Place, jobs: int
-) -> Iterator[tuple[Place, Batch]]:
+    epoch: Callable[[int], Epoch], first: BatchPosition, jobs: int
+) -> Iterator[tuple[BatchPosition, Batch]]:
     """All batches from `first` on, without end; the same whatever the number of `jobs`.
 
     Raises:
         MapreplayError: there are so few maps that an epoch has no batch, or a process died.
     """
 
-    def make(item: tuple[Place, Group]) -> tuple[Place, Batch]:
+    def make(item: tuple[BatchPosition, BatchMaps]) -> tuple[BatchPosition, Batch]:
         place, group = item
         return place, epoch(place.epoch).batch(group)
 
-    def make_there(item: tuple[Place, Group]) -> tuple[Place, Batch]:
+    def make_there(item: tuple[BatchPosition, BatchMaps]) -> tuple[BatchPosition, Batch]:
         cv2.setNumThreads(0)  # there are as many processes as are wanted
         return make(item)
 
@@ -52,7 +52,9 @@ def batches_from(
         yield from batches
 
 
-def _groups(epoch: Callable[[int], Epoch], first: Place) -> Iterator[tuple[Place, Group]]:
+def _groups(
+    epoch: Callable[[int], Epoch], first: BatchPosition
+) -> Iterator[tuple[BatchPosition, BatchMaps]]:
     number, begin = first
     while True:
         groups = epoch(number).batches()
@@ -61,5 +63,5 @@ def _groups(epoch: Callable[[int], Epoch], first: Place) -> Iterator[tuple[Place
                 "too few maps to train on: this network needs two of one size at once"
             )
         for i in range(begin, len(groups)):
-            yield Place(number, i), groups[i]
+            yield BatchPosition(number, i), groups[i]
         number, begin = number + 1, 0

@@ -35,7 +35,7 @@ from mapreplay.predictors.weights import (
     save_weights,
     tensors_sha256,
 )
-from mapreplay.training.batches import Place, batches_from
+from mapreplay.training.batches import BatchPosition, batches_from
 from mapreplay.training.dataset import (
     Batch,
     Epoch,
@@ -45,7 +45,7 @@ from mapreplay.training.dataset import (
     make_batch,
     padded_shape,
 )
-from mapreplay.training.origin import Origin
+from mapreplay.training.origin import TrainingOrigin
 
 CHECKED_EVERY: Final = 100
 """Batches after which the loss on a GPU is looked at, which has to wait for it then."""
@@ -140,7 +140,7 @@ class Trainer:
             self.architecture.padding, config.loss_region, self.architecture.fewest_maps
         )
         self.validation = _validation_batches(validation, config, self._layout)
-        self.origin = Origin.of(asdict(config), plans, validation)
+        self.origin = TrainingOrigin.of(asdict(config), plans, validation)
         self.state = _State()
         self._losses: list[torch.Tensor] = []
 
@@ -168,7 +168,9 @@ class Trainer:
         if state.samples >= config.samples:  # it goes on after its end
             return
         began = time.monotonic()
-        for place, batch in batches_from(self._epoch, Place(state.epoch, state.batch), self.jobs):
+        for place, batch in batches_from(
+            self._epoch, BatchPosition(state.epoch, state.batch), self.jobs
+        ):
             self._step(batch)
             before = state.samples
             state.samples += len(batch.observed)
@@ -329,7 +331,7 @@ class Trainer:
                     f"{self.checkpoint}: of an earlier version, which did not say what it began "
                     "with; start anew with --force, or choose another --out"
                 )
-            differences = Origin.from_json(about["origin"]).differences(self.origin)
+            differences = TrainingOrigin.from_json(about["origin"]).differences(self.origin)
             if differences:
                 raise WeightsError(
                     f"{self.checkpoint}: was made with {'; '.join(differences)}; resume with the "

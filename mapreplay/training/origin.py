@@ -42,7 +42,7 @@ class PlanSet:
 
 
 @dataclass(frozen=True)
-class Origin:
+class TrainingOrigin:
     """All that the result of a training depends on."""
 
     options: Mapping[str, Any]
@@ -86,7 +86,7 @@ class Origin:
             str(values["torch"]),
         )
 
-    def differences(self, now: Origin) -> list[str]:
+    def differences(self, now: TrainingOrigin) -> list[str]:
         """What is another thing `now`, each in a few words."""
         found = [
             f"{_option(key)} {_short(self.options.get(key))} (now {_short(now.options.get(key))})"

@@ -477,7 +477,7 @@ def check_scores(scores: npt.NDArray[np.float64], steps: int, plan: FloorPlan) -
     Raises:
         ValueError: one is not.
     """
-    # An agent of another simulator may jump through the map at each step.
+    # The agent of an external simulator may jump through the map at each step.
     furthest = (steps + 1) * sum(plan.shape) * plan.resolution
     tops = np.where(_IS_LENGTH, furthest, np.where(_IS_LOSS, MAX_LOSS, 1.0))[:, None]
     wrong = ~((scores >= 0) & (scores <= tops)) & ~(np.isnan(scores) & ~_IS_LENGTH[:, None])

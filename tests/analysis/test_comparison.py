@@ -136,7 +136,7 @@ def test_what_would_be_mixed_is_kept_apart_and_said() -> None:
     assert "the groups also differ in plan_on, build, fail_safe" in also.notes
 
 
-def test_unfinished_double_and_foreign_versions_are_told() -> None:
+def test_unfinished_double_and_other_versions_are_told() -> None:
     cut = made_up(1, None, steps=3, outcome="unfinished")
     twice = made_up(0, 100)
     result = of([*nearest(REFERENCE), twice, cut, *utility(FASTER, version="2")])

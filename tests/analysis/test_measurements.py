@@ -20,7 +20,7 @@ from mapreplay.analysis.metrics.measure import (
 )
 from mapreplay.analysis.metrics.per_episode import episode_metrics
 from mapreplay.analysis.metrics.registry import load_metric
-from mapreplay.foreign import ForeignEpisode
+from mapreplay.external import ExternalEpisode
 from mapreplay.grid import UNKNOWN
 from mapreplay.mapping import dequantize
 from mapreplay.recorders.log.reader import EpisodeLog
@@ -133,7 +133,7 @@ def test_the_episode_pools_the_cells_of_all_steps(log: EpisodeLog, measured: Mea
 def test_milestones_and_area_of_a_walk_along_a_corridor(tmp_path: Path) -> None:
     #  18 explorable cells: 4 free, 14 walls. Each look shows one more column of three.
     corridor = plan(CORRIDOR, "corridor", resolution=0.5)
-    episode = ForeignEpisode(corridor, (1, 1), planner="mine", max_steps=9)
+    episode = ExternalEpisode(corridor, (1, 1), planner="mine", max_steps=9)
     with EpisodeWriter(tmp_path / "log.mcap", episode.header) as writer:
         for k in range(4):
             observed = np.full(corridor.shape, UNKNOWN, np.int8)

@@ -15,8 +15,8 @@ from mapreplay.analysis.diff.pair import diff_frame, diff_logs, rest_of, spans_o
 from mapreplay.config import EpisodeConfig
 from mapreplay.episode import prepare_episode, run_episode
 from mapreplay.errors import UsageError
+from mapreplay.external import ExternalEpisode
 from mapreplay.floorplans import open_source
-from mapreplay.foreign import ForeignEpisode
 from mapreplay.grid import Cell
 from mapreplay.planners import Choice
 from mapreplay.planning import Situation
@@ -238,7 +238,7 @@ def test_episodes_of_other_simulators_part_where_their_poses_do(tmp_path: Path) 
     floor_plan = plan(THREE_ROOMS, "three-rooms")
     logs = []
     for name, column in (("a", 3), ("b", 4)):
-        episode = ForeignEpisode(floor_plan, (5, 2), planner="theirs")
+        episode = ExternalEpisode(floor_plan, (5, 2), planner="theirs")
         observed = floor_plan.cells
         steps = [episode.step(cell, observed) for cell in [(5, 2), (5, 3), (6, column)]]
         steps.append(episode.step((7, 3), observed, outcome="mapped"))

@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 
 from commands import Run
-from mapreplay import EpisodeWriter, ForeignEpisode, unknown_floor_plan
+from mapreplay import EpisodeWriter, ExternalEpisode, unknown_floor_plan
 from mapreplay.floorplan import FloorPlan
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.pictures.layers import first_parting
@@ -145,7 +145,7 @@ def test_without_a_truth_or_a_budget_there_is_no_mapping_time(cli: Run, tmp_path
     for side, column in (("a", 2), ("b", 3)):
         (tmp_path / side).mkdir()
         for seed, plan in ((1, unknown_floor_plan("lab", (4, 6), 0.1)), (2, known)):
-            episode = ForeignEpisode(plan, (1, 1), planner=f"theirs-{side}", seed=seed)
+            episode = ExternalEpisode(plan, (1, 1), planner=f"theirs-{side}", seed=seed)
             with EpisodeWriter(tmp_path / side / f"{seed}.mcap", episode.header) as writer:
                 seen = np.full((4, 6), -1, np.int8)
                 seen[:, :3] = 0

@@ -7,7 +7,7 @@ import pytest
 
 from commands import Run
 from mapreplay.errors import PluginError
-from mapreplay.plugins import Group, available, load
+from mapreplay.plugins import PluginKind, available, load
 
 MODULE = """
 import numpy as np
@@ -97,11 +97,11 @@ def test_every_verb_takes_them_by_name(cli: Run, theirs: None, tmp_path: Path) -
     assert (row["planner"], row["predictor"], row["outcome"]) == ("farthest", "optimist", "mapped")
     measured = json.loads(cli("metrics", out, "--metric", "row", "--format", "json").out)
     assert measured["rows"][0]["row"] == 10.0
-    worth = cli("bench", "worth", "--predictor", "optimist", "--floorplans", "boxes:1",
+    savings = cli("bench", "savings", "--predictor", "optimist", "--floorplans", "boxes:1",
                 "--format", "json")  # fmt: skip
-    assert json.loads(worth.out)["rows"][0]["floor_plan"] == "box-0"
-    assert "1 floor plan: mapping time reduced by 97.2 %" in worth.err
-    assert "predictions of unobserved cells: ECE" in worth.err
+    assert json.loads(savings.out)["rows"][0]["floor_plan"] == "box-0"
+    assert "1 floor plan: mapping time reduced by 97.2 %" in savings.err
+    assert "predictions of unobserved cells: ECE" in savings.err
 
 
 def test_a_broken_one_is_named_with_its_package_and_harms_nobody(
@@ -124,7 +124,7 @@ def test_a_broken_one_is_named_with_its_package_and_harms_nobody(
 def test_listing_loads_nothing(theirs: None) -> None:
     import sys
 
-    assert {"farthest", "unlucky", "nearest"} <= set(available(Group.PLANNERS))
+    assert {"farthest", "unlucky", "nearest"} <= set(available(PluginKind.PLANNERS))
     assert "theirs_broken" not in sys.modules
 
 
@@ -134,9 +134,9 @@ def test_nobody_can_take_a_name_of_ours(tmp_path: Path, monkeypatch: pytest.Monk
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: impostor\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[mapreplay.planners]\nnearest = impostor:Planner\n")
     monkeypatch.syspath_prepend(str(tmp_path))
-    assert available(Group.PLANNERS)["nearest"].distribution == "mapreplay"
+    assert available(PluginKind.PLANNERS)["nearest"].distribution == "mapreplay"
 
 
 def test_a_plugin_that_fails_when_it_is_made_is_named_too(theirs: None) -> None:
     with pytest.raises(PluginError, match=r"floor-plan source 'boxes' of their-package .*ValueErr"):
-        load(Group.FLOORPLANS, "boxes")("many", None)
+        load(PluginKind.FLOORPLANS, "boxes")("many", None)

@@ -18,7 +18,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from commands import Run
-from mapreplay import EpisodeWriter, ForeignEpisode, unknown_floor_plan
+from mapreplay import EpisodeWriter, ExternalEpisode, unknown_floor_plan
 from mapreplay.cli import _fail
 from mapreplay.cli.output import Command, Format, emit, note, say
 from mapreplay.cli.progress import progress_bar
@@ -48,7 +48,7 @@ def hostile(tmp_path_factory: pytest.TempPathFactory) -> Path:
     observed = np.zeros((4, 5), np.int8)
     for number, planner in enumerate(PLANNERS):
         plan = unknown_floor_plan("lab", (4, 5), 0.05)
-        episode = ForeignEpisode(plan, (1, 1), planner=planner, simulator=planner)
+        episode = ExternalEpisode(plan, (1, 1), planner=planner, simulator=planner)
         path = folder / f"run[final]$_{number}\x1b[1m.mcap"
         with EpisodeWriter(path, episode.header) as writer:
             writer.write(episode.step((1, 1), observed, target=(1, 2)))

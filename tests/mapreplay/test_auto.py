@@ -28,7 +28,7 @@ from mapreplay.predictors.auto import (
     PREDICTOR_OF,
     UNSURE,
     AutoPredictor,
-    Kind,
+    PlanKind,
     read_classifier,
     save_classifier,
 )
@@ -125,31 +125,34 @@ def test_neither_place_nor_grid_nor_direction_counts(
 
 
 def test_nothing_known_is_nothing_to_go_by() -> None:
-    assert CLASSIFIER.kind(np.full((64, 64), UNKNOWN, np.int8)) is Kind.NEITHER
+    assert CLASSIFIER.kind(np.full((64, 64), UNKNOWN, np.int8)) is PlanKind.NEITHER
 
 
 def test_it_knows_the_kinds_when_all_is_seen() -> None:
-    assert CLASSIFIER.kind(seen(generate(50_003).cells)) is Kind.D1
-    assert CLASSIFIER.kind(seen(house())) is Kind.D2
+    assert CLASSIFIER.kind(seen(generate(50_003).cells)) is PlanKind.D1
+    assert CLASSIFIER.kind(seen(house())) is PlanKind.D2
 
 
 @pytest.mark.parametrize("sort", DRAWN)
 def test_it_is_unsure_of_what_is_neither(sort: str) -> None:
-    assert CLASSIFIER.kind(seen(DRAWN[sort](50_001).cells)) is Kind.NEITHER
+    assert CLASSIFIER.kind(seen(DRAWN[sort](50_001).cells)) is PlanKind.NEITHER
 
 
 def test_a_house_at_twice_the_scale_is_neither() -> None:
-    assert CLASSIFIER.kind(seen(house().repeat(2, axis=0).repeat(2, axis=1))) is Kind.NEITHER
+    assert CLASSIFIER.kind(seen(house().repeat(2, axis=0).repeat(2, axis=1))) is PlanKind.NEITHER
 
 
 def test_an_empty_field_is_neither() -> None:
-    assert CLASSIFIER.kind(np.zeros((40, 40), np.int8)) is Kind.NEITHER
+    assert CLASSIFIER.kind(np.zeros((40, 40), np.int8)) is PlanKind.NEITHER
 
 
 def test_it_predicts_what_the_chosen_one_predicts() -> None:
     auto, unknown = load_predictor("auto"), np.full((64, 64), UNKNOWN, np.int8)
     assert isinstance(auto, Choosing)
-    for observed, kind in ((seen(generate(50_003).cells), Kind.D1), (seen(house()), Kind.D2)):
+    for observed, kind in (
+        (seen(generate(50_003).cells), PlanKind.D1),
+        (seen(house()), PlanKind.D2),
+    ):
         name = PREDICTOR_OF[kind]
         expected, got = load_predictor(name).predict(observed), auto.predict(observed)
         assert expected is not None
@@ -166,8 +169,8 @@ def test_it_predicts_what_the_chosen_one_predicts() -> None:
 def test_its_hash_covers_every_part() -> None:
     def digest(parameters: str = "a", d1: str = "b", d2: str = "c", name: str = "d2") -> str:
         parts = {
-            Kind.D1: ConstantPredictor(0.5, PredictorIdentity("d1", d1)),
-            Kind.D2: ConstantPredictor(0.5, PredictorIdentity(name, d2)),
+            PlanKind.D1: ConstantPredictor(0.5, PredictorIdentity("d1", d1)),
+            PlanKind.D2: ConstantPredictor(0.5, PredictorIdentity(name, d2)),
         }
         return AutoPredictor(CLASSIFIER, parts, parameters).identity.sha256
 
@@ -287,7 +290,7 @@ def test_an_episode_with_auto_proves_true_and_branches(tmp_path: Path) -> None:
     assert verify_rerun(log).differences == ()
     told = choices({step.index: step.events for step in log.steps()})
     assert told[0] == UNSURE  # by its first scan no plan is known
-    assert f"{PREDICTOR_OF[Kind.D1]} predicts" in told.values()
+    assert f"{PREDICTOR_OF[PlanKind.D1]} predicts" in told.values()
     # A branch goes on with what was chosen before it, and says only what is new.
     branch = prepare_branch(log, 50, ["fail-safe=off"])
     tail = [step for step in branch.steps() if step.index >= 50]
@@ -308,5 +311,5 @@ def test_maps_of_neither_kind_are_hardly_ever_predicted(mrpb: Path) -> None:
         )
         for step in run_episode(prepare_episode(config, source.load(name))):
             asked += 1
-            taken += CLASSIFIER.kind(step.observed) is not Kind.NEITHER
+            taken += CLASSIFIER.kind(step.observed) is not PlanKind.NEITHER
     assert taken <= asked // 20

@@ -27,7 +27,7 @@ from mapreplay.floorplans.image import open_source as open_image
 from mapreplay.floorplans.map_server import MapServerSource
 from mapreplay.floorplans.procedural import ProceduralSource
 from mapreplay.grid import Cell
-from mapreplay.plugins import Group, available
+from mapreplay.plugins import PluginKind, available
 
 HOUSE = '{"id": "house", "verts": [[0, 0], [1, 0], [1, 1], [0, 1]]}'
 MAP = """
@@ -162,7 +162,7 @@ def test_a_source_of_files_needs_a_path(name: str) -> None:
 def test_the_built_in_sources_come_through_the_same_door_as_any_other() -> None:
     ours = {
         name
-        for name, plugin in available(Group.FLOORPLANS).items()
+        for name, plugin in available(PluginKind.FLOORPLANS).items()
         if plugin.distribution == "mapreplay"
     }
     assert {*ENDINGS.values(), "procedural"} == ours

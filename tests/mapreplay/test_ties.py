@@ -75,7 +75,7 @@ def test_a_tie_goes_to_the_first_cell(planner: Planner, left: Quantized) -> None
 
 def test_rules_1_let_the_last_bit_decide() -> None:
     here = mirrored(BROKEN_BY_RULES_1)
-    choice = rules_1.CostUtility().choose(here)
+    choice = rules_1.CostUtility1().choose(here)
     assert choice.index == 1
     assert choice.reward == pytest.approx(here.gains())
 

@@ -22,7 +22,7 @@ from mapreplay.predictors.architectures import ARCHITECTURES
 from mapreplay.predictors.network import OUTSIDE
 from mapreplay.predictors.weights import encode_tensors
 from mapreplay.sensor import Sensor
-from mapreplay.training.batches import Place, batches_from
+from mapreplay.training.batches import BatchPosition, batches_from
 from mapreplay.training.dataset import (
     ORIENTATIONS,
     Epoch,
@@ -182,8 +182,8 @@ def test_any_number_of_processes_makes_the_same_batches(plans: list[TrainingPlan
     def epoch(number: int) -> Epoch:
         return Epoch(plans[:3], 24 * 24 * 4, 0, number, NEARBY, augment=True)
 
-    def first_six(jobs: int) -> list[tuple[Place, bytes]]:
-        batches = islice(batches_from(epoch, Place(0, 1), jobs), 6)
+    def first_six(jobs: int) -> list[tuple[BatchPosition, bytes]]:
+        batches = islice(batches_from(epoch, BatchPosition(0, 1), jobs), 6)
         return [(place, batch.observed.tobytes() + batch.weights.tobytes())
                 for place, batch in batches]  # fmt: skip
 

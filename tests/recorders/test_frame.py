@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from mapreplay.errors import UsageError
-from mapreplay.foreign import ForeignEpisode, unknown_floor_plan
+from mapreplay.external import ExternalEpisode, unknown_floor_plan
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.recorders.pictures.animation import few_colours
@@ -97,7 +97,7 @@ def test_marks_are_drawn_and_named(rooms: Filmed) -> None:
 
 def test_an_episode_without_truth_prediction_and_targets_is_drawn(tmp_path: Path) -> None:
     plan = unknown_floor_plan("lab", (30, 80), resolution=0.05)
-    episode = ForeignEpisode(plan, (5, 5), planner="mine")
+    episode = ExternalEpisode(plan, (5, 5), planner="mine")
     observed = np.full((30, 80), -1, np.int8)
     observed[3:9, 3:30] = 0
     with EpisodeWriter(tmp_path / "lab.mcap", episode.header) as writer:

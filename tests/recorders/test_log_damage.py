@@ -1,4 +1,4 @@
-"""Logs that are cut off, changed, foreign or newer: one clear line, and never wrong data."""
+"""Damaged, changed or newer logs and other files: one clear line, and never wrong data."""
 
 import random
 import shutil
@@ -132,8 +132,8 @@ def test_what_is_not_there_or_a_folder_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("end", ["finished", "killed"])
-def test_a_foreign_mcap_is_refused(tmp_path: Path, end: str) -> None:
-    path = tmp_path / "foreign.mcap"
+def test_an_mcap_of_something_else_is_refused(tmp_path: Path, end: str) -> None:
+    path = tmp_path / "other.mcap"
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from mapreplay import ForeignEpisode, unknown_floor_plan
+from mapreplay import ExternalEpisode, unknown_floor_plan
 from mapreplay.config import EpisodeConfig
 from mapreplay.errors import UsageError
 from mapreplay.recorders.log.reader import EpisodeLog
@@ -50,7 +50,7 @@ def test_of_several_logs_some_have_maps_and_all_have_scores() -> None:
 
 def test_text_of_a_log_is_text_in_the_viewers_documents() -> None:
     planner = "a|b\n# [x](http://y) \x1b[2J"
-    header = ForeignEpisode(unknown_floor_plan("lab", (4, 5), 0.1), (1, 1), planner).header
+    header = ExternalEpisode(unknown_floor_plan("lab", (4, 5), 0.1), (1, 1), planner).header
     (row,) = [line for line in describe(header).splitlines() if line.startswith("| planner")]
     assert row == r"| planner | a\|b\\n\# \[x\](http://y) \\x1b\[2J |"
     a, b = names_of([header, replace(header, config=EpisodeConfig(planner="p" * 500))])

@@ -10,8 +10,8 @@ import pytest
 from drawing import draw, plan
 from mapreplay.config import EpisodeConfig
 from mapreplay.episode import prepare_episode, run_episode
+from mapreplay.external import ExternalEpisode, unknown_floor_plan
 from mapreplay.floorplan import explorable
-from mapreplay.foreign import ForeignEpisode, unknown_floor_plan
 from mapreplay.grid import Cell
 from mapreplay.recorders.pictures.layers import (
     MapView,
@@ -183,6 +183,8 @@ def test_only_what_says_something_is_shown() -> None:
     assert map_views(seen) == (MapView.OBSERVED, MapView.FUSED, MapView.ERROR)
     assert curves(seen) == (Curve.F1, Curve.PRECISION, Curve.RECALL, Curve.COVERAGE_OBSERVED)
 
-    foreign = ForeignEpisode(unknown_floor_plan("lab", (9, 9), 0.1), (4, 4), planner="mine").header
-    assert map_views(foreign) == (MapView.OBSERVED, MapView.FUSED)
-    assert curves(foreign) == ()
+    external = ExternalEpisode(
+        unknown_floor_plan("lab", (9, 9), 0.1), (4, 4), planner="mine"
+    ).header
+    assert map_views(external) == (MapView.OBSERVED, MapView.FUSED)
+    assert curves(external) == ()

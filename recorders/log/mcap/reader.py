@@ -259,7 +259,7 @@ class Channels:
         """All topics, also those that cannot be read."""
         self.encodings: set[str] = set()
         """Of their messages."""
-        self._foreign: dict[int, str] = {}
+        self._unexpected: dict[int, str] = {}
         self._types: dict[int, str] = {}
 
     def declare_type(self, body: bytes) -> None:
@@ -281,7 +281,7 @@ class Channels:
             McapError, struct.error: it is damaged.
         """
         channel = Channel.read(stream(body))
-        check_count("channels", len(self.topics) + len(self._foreign), MAX_NAMES)
+        check_count("channels", len(self.topics) + len(self._unexpected), MAX_NAMES)
         check_count("topics", len(self.names), MAX_NAMES)
         self.names.add(channel.topic)
         self.encodings.add(channel.message_encoding)
@@ -289,7 +289,7 @@ class Channels:
         if channel.topic in frozenset(Topic):
             expected = f"{Topic(channel.topic).type_name} as {MESSAGE_ENCODING}"
             if found != expected:
-                self._foreign[channel.id] = f"{channel.topic} is {found}, and not {expected}"
+                self._unexpected[channel.id] = f"{channel.topic} is {found}, and not {expected}"
                 return
         self.topics[channel.id] = channel.topic
 
@@ -303,8 +303,8 @@ class Channels:
         try:
             return self.topics[number]
         except KeyError:
-            if number in self._foreign:
-                raise LogError(self._foreign[number]) from None
+            if number in self._unexpected:
+                raise LogError(self._unexpected[number]) from None
             raise ValueError("a message is on a channel that was never declared") from None
 
 

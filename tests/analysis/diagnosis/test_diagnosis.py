@@ -31,7 +31,7 @@ from mapreplay.analysis.diagnosis.remedy import threshold_of_free, threshold_of_
 from mapreplay.analysis.diagnosis.tables import all_tables
 from mapreplay.episode import run_episode
 from mapreplay.errors import ExistsError
-from mapreplay.foreign import ForeignEpisode, unknown_floor_plan
+from mapreplay.external import ExternalEpisode, unknown_floor_plan
 from mapreplay.grid import OCCUPIED, UNKNOWN, Cell
 from mapreplay.mapping import PredictionDtype, Thresholds, fuse, quantize
 from mapreplay.recorders.log.reader import EpisodeLog
@@ -316,14 +316,14 @@ def test_a_map_that_is_nearly_done_is_no_near_miss(tmp_path: Path) -> None:
 
 
 def test_a_log_without_a_true_map(tmp_path: Path) -> None:
-    """Another simulator's: that the way out vanished is seen, and no more."""
+    """An external log: that the way out vanished is seen, and no more."""
     observed = np.full((7, 14), UNKNOWN, np.int8)
     observed[1:6, 1:6] = 0
-    foreign = ForeignEpisode(unknown_floor_plan("lab", (7, 14), 0.1), (3, 3), planner="theirs")
+    external = ExternalEpisode(unknown_floor_plan("lab", (7, 14), 0.1), (3, 3), planner="theirs")
     path = tmp_path / "lab.mcap"
     p_wall = np.where(draw(LEFT_ROOM) == 100, 0.99, 0.5)
-    with EpisodeWriter(path, foreign.header) as writer:
-        writer.write(foreign.step((3, 3), observed, p_wall=p_wall, outcome="sealed_in"))
+    with EpisodeWriter(path, external.header) as writer:
+        writer.write(external.step((3, 3), observed, p_wall=p_wall, outcome="sealed_in"))
     found = diagnose(EpisodeLog(path))
     (sealing,) = found.sealings
     assert sealing.culprits is None
@@ -334,9 +334,9 @@ def test_a_log_without_a_true_map(tmp_path: Path) -> None:
 
 def test_a_log_without_predictions(tmp_path: Path) -> None:
     observed = np.zeros((5, 5), np.int8)
-    foreign = ForeignEpisode(unknown_floor_plan("lab", (5, 5), 0.1), (3, 3), planner="theirs")
-    with EpisodeWriter(tmp_path / "a.mcap", foreign.header) as writer:
-        writer.write(foreign.step((3, 3), observed, outcome="mapped"))
+    external = ExternalEpisode(unknown_floor_plan("lab", (5, 5), 0.1), (3, 3), planner="theirs")
+    with EpisodeWriter(tmp_path / "a.mcap", external.header) as writer:
+        writer.write(external.step((3, 3), observed, outcome="mapped"))
     found = diagnose(EpisodeLog(tmp_path / "a.mcap"))
     assert any("no prediction" in note for note in found.notes)
 

@@ -42,5 +42,5 @@ def test_nothing_observed_nothing_known() -> None:
 
 
 def test_no_name_leads_to_it() -> None:
-    assert not any("infill" in name for name in plugins.available(plugins.Group.PREDICTORS))
+    assert not any("infill" in name for name in plugins.available(plugins.PluginKind.PREDICTORS))
     assert InFill(HOUSE, 2, 0.25).identity.name == "infill-2"

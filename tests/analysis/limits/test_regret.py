@@ -43,5 +43,5 @@ def test_another_simulators_steps_have_no_regret() -> None:
     from dataclasses import replace
 
     episode = made_up(50, 300)
-    foreign = replace(episode, header=replace(episode.header, simulator="ROS"))
-    assert math.isnan(reference_time(foreign, 0.98))
+    external = replace(episode, header=replace(episode.header, simulator="ROS"))
+    assert math.isnan(reference_time(external, 0.98))

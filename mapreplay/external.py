@@ -59,12 +59,12 @@ def unknown_floor_plan(
     return FloorPlan(name, cells, resolution, Origin(*origin), has_truth=False)
 
 
-class ForeignEpisode:
-    """Turns what another simulator knows at each step into a `Step` to be written.
+class ExternalEpisode:
+    """Turns what an external simulator knows at each step into a `Step` for the log.
 
     ::
 
-        episode = ForeignEpisode(unknown_floor_plan("lab", (80, 60), 0.05), start, planner="mine")
+        episode = ExternalEpisode(unknown_floor_plan("lab", (80, 60), 0.05), start, planner="mine")
         with EpisodeWriter(Path("lab.mcap"), episode.header) as writer:
             writer.write(episode.step(agent, observed))
     """
@@ -74,7 +74,7 @@ class ForeignEpisode:
         floor_plan: FloorPlan,
         start: tuple[int, int],
         planner: str,
-        simulator: str = "another simulator",
+        simulator: str = "external simulator",
         predictor: PredictorIdentity = NO_PREDICTOR,
         max_steps: int = NO_BUDGET,
         **config: Any,

@@ -9,7 +9,7 @@ import pytest
 
 from commands import Run
 from drawing import draw, plan
-from mapreplay import EpisodeLog, EpisodeWriter, ForeignEpisode, unknown_floor_plan
+from mapreplay import EpisodeLog, EpisodeWriter, ExternalEpisode, unknown_floor_plan
 from mapreplay.analysis.verification import verify
 from mapreplay.errors import ConfigError, FloorPlanError, UsageError
 from mapreplay.grid import Cell
@@ -26,7 +26,7 @@ ROOM = """
 """
 
 
-def record(folder: Path, episode: ForeignEpisode, maps: list[np.ndarray], **last: object) -> Path:
+def record(folder: Path, episode: ExternalEpisode, maps: list[np.ndarray], **last: object) -> Path:
     """A walk along row 1, with the given observed maps."""
     path = folder / "theirs.mcap"
     with EpisodeWriter(path, episode.header) as writer:
@@ -67,7 +67,7 @@ def test_the_readmes_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 def test_poses_and_observed_maps_are_enough(tmp_path: Path, cli: Run) -> None:
-    episode = ForeignEpisode(unknown_floor_plan("lab", (5, 8), 0.05), (1, 1), planner="mine")
+    episode = ExternalEpisode(unknown_floor_plan("lab", (5, 8), 0.05), (1, 1), planner="mine")
     path = record(tmp_path, episode, growing_maps())
     log = EpisodeLog(path)
     assert not log.header.floor_plan.has_truth
@@ -89,7 +89,7 @@ def test_poses_and_observed_maps_are_enough(tmp_path: Path, cli: Run) -> None:
 
 def test_everything_that_is_given_comes_back(tmp_path: Path) -> None:
     floor_plan = plan(ROOM, resolution=0.1)
-    episode = ForeignEpisode(floor_plan, (1, 1), planner="mine", simulator="gym", seed=7)
+    episode = ExternalEpisode(floor_plan, (1, 1), planner="mine", simulator="gym", seed=7)
     p_wall = np.linspace(0, 1, 40).reshape(5, 8)
     frontier = np.array([[1, 2], [2, 2]], np.int32)
     steps = [
@@ -112,14 +112,14 @@ def test_everything_that_is_given_comes_back(tmp_path: Path) -> None:
 
 
 def test_poses_that_are_not_neighbours_are_joined_by_the_shortest_way(tmp_path: Path) -> None:
-    episode = ForeignEpisode(plan(ROOM), (1, 1), planner="mine")
+    episode = ExternalEpisode(plan(ROOM), (1, 1), planner="mine")
     observed = draw(ROOM)
     episode.step((1, 1), observed)
     assert episode.step((3, 6), observed).metrics.path_length == pytest.approx(3 + 2 * 2**0.5)
 
 
 def test_a_fused_map_that_does_not_follow_is_found(tmp_path: Path) -> None:
-    episode = ForeignEpisode(plan(ROOM), (1, 1), planner="mine")
+    episode = ExternalEpisode(plan(ROOM), (1, 1), planner="mine")
     path = record(tmp_path, episode, growing_maps(), fused=draw(ROOM))
     found = verify(EpisodeLog(path))
     assert not found.agrees
@@ -129,10 +129,10 @@ def test_a_fused_map_that_does_not_follow_is_found(tmp_path: Path) -> None:
 def test_wrong_input_is_named() -> None:
     floor_plan = plan(ROOM)
     with pytest.raises(FloorPlanError, match=r"start \(0, 0\) is not a free cell"):
-        ForeignEpisode(floor_plan, (0, 0), planner="mine")
+        ExternalEpisode(floor_plan, (0, 0), planner="mine")
     with pytest.raises(ConfigError, match="unknown key 'sed'"):
-        ForeignEpisode(floor_plan, (1, 1), planner="mine", sed=3)
-    episode = ForeignEpisode(floor_plan, (1, 1), planner="mine")
+        ExternalEpisode(floor_plan, (1, 1), planner="mine", sed=3)
+    episode = ExternalEpisode(floor_plan, (1, 1), planner="mine")
     observed = draw(ROOM)
     for message, arguments in [
         (r"agent \(9, 9\) lies outside of 5 x 8", {"agent": (9, 9), "observed": observed}),
@@ -148,8 +148,8 @@ def test_wrong_input_is_named() -> None:
             episode.step(**arguments)  # type: ignore[arg-type]
 
 
-def lab() -> ForeignEpisode:
-    return ForeignEpisode(unknown_floor_plan("lab", (4, 6), 0.1), (1, 2), planner="theirs", rays=8)
+def lab() -> ExternalEpisode:
+    return ExternalEpisode(unknown_floor_plan("lab", (4, 6), 0.1), (1, 2), planner="theirs", rays=8)
 
 
 SEEN = np.zeros((4, 6), np.int8)
@@ -189,7 +189,7 @@ def test_a_pose_in_whole_numbers_of_any_type_is_that_cell(pose: object) -> None:
 @pytest.mark.parametrize("start", [(1.5, 2), (True, 2), ("1", 2), (1, 2, 3), (9, 9), (-1, 0)])
 def test_a_start_that_is_no_cell_is_refused(start: object) -> None:
     with pytest.raises(UsageError, match="start"):
-        ForeignEpisode(unknown_floor_plan("lab", (4, 6), 0.1), start, planner="theirs")  # type: ignore[arg-type]
+        ExternalEpisode(unknown_floor_plan("lab", (4, 6), 0.1), start, planner="theirs")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -221,12 +221,12 @@ def test_nothing_else_is_cut_or_guessed_either(what: str, value: object) -> None
 )  # fmt: skip
 def test_a_setting_of_another_type_is_refused(key: str, value: object) -> None:
     with pytest.raises(ConfigError, match=key):
-        ForeignEpisode(unknown_floor_plan("lab", (4, 6), 0.1), (1, 2), "theirs", **{key: value})  # type: ignore[arg-type]
+        ExternalEpisode(unknown_floor_plan("lab", (4, 6), 0.1), (1, 2), "theirs", **{key: value})  # type: ignore[arg-type]
 
 
 def test_a_setting_of_numpy_is_one_of_python() -> None:
     plan = unknown_floor_plan("lab", (4, 6), 0.1)
-    config = ForeignEpisode(
+    config = ExternalEpisode(
         plan, (1, 2), "theirs", seed=np.int64(3), coverage=np.float32(0.5)
     ).header.config
     assert (config.seed, config.coverage) == (3, 0.5)
