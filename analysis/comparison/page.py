@@ -28,7 +28,7 @@ from mapreplay.analysis.reporting.wording import (
     with_interval,
 )
 from mapreplay.config import MapKind
-from mapreplay.floorplans.preview import encode_png
+from mapreplay.pictures import png_of
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.pictures.layers import MapView
 from mapreplay.recorders.pictures.painter import MapPainter
@@ -117,9 +117,9 @@ def _headlines(comparison: Comparison) -> Iterator[page.Block]:
     yield page.Numbers(numbers)
 
 
-def _figure(draw: Draw, height: float, alt: str, caption: str) -> page.Picture:
+def _figure(draw: Draw, height: float, alt: str, caption: str) -> page.Illustration:
     svg = render(draw, (6.0, height))
-    return page.Picture(svg, alt, caption, in_the_dark(svg))
+    return page.Illustration(svg, alt, caption, in_the_dark(svg))
 
 
 def _groups_table(comparison: Comparison) -> page.Table:
@@ -221,14 +221,14 @@ def _pictures(name: str, episode: LoggedEpisode) -> list[page.Block]:
         return []
     step = log[-1]
     track = log.table().select("row", "col").to_numpy().astype(np.int32)
-    painter = MapPainter.of(log.header)
+    painter = MapPainter(log.header)
     built = MapView.FUSED if log.header.config.build is MapKind.FUSED else MapView.OBSERVED
     views = [(built, f"{name}: built map after {step.index} steps, {episode.row.outcome}")]
     if log.header.floor_plan.has_truth:
         views.append((MapView.ERROR, f"{name}: what is wrong in its fused map"))
     return [
-        page.Picture(
-            encode_png(painter.draw(view, step, PIXELS, PIXELS, track=track)[..., ::-1]),
+        page.Illustration(
+            png_of(painter.draw(view, step, PIXELS, PIXELS, track=track)),
             caption,
             caption,
         )

@@ -223,7 +223,7 @@ def _shown(value: Value) -> str:
 
 
 @dataclass(frozen=True)
-class Picture:
+class Illustration:
     """A picture with what it shows; `dark` is the same for a dark page.
 
     Both are the bytes of a PNG or an SVG file. `pixelated` keeps the cells of a small map sharp

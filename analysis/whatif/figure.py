@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from mapreplay.analysis.reporting.figures import COLOURS, Theme
 from mapreplay.analysis.whatif.grid import WhatIf
+from mapreplay.recorders.pictures.palette import VERMILION, Theme, hex_of
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ class HeatMap:
                 np.array(self.result.delta_free)[i],
                 np.array(self.result.delta_occupied)[j],
                 "X",
-                markerfacecolor="#ffffff",
-                markeredgecolor="#1d2126",
+                markerfacecolor="white",
+                markeredgecolor="black",
                 markersize=5,
                 markeredgewidth=0.7,
                 label="sealed in at some step",
@@ -47,7 +47,7 @@ class HeatMap:
                 *self.logged,
                 "o",
                 markerfacecolor="none",
-                markeredgecolor=COLOURS[1],
+                markeredgecolor=hex_of(VERMILION),
                 markersize=11,
                 markeredgewidth=2.2,
                 label="as logged",

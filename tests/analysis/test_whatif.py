@@ -9,7 +9,7 @@ import pytest
 from drawing import plan
 from fakes import FixedPredictor, NoisyPredictor
 from mapreplay import mapping, scores
-from mapreplay.analysis.reporting.figures import DARK, render
+from mapreplay.analysis.reporting.figures import render
 from mapreplay.analysis.whatif.figure import HeatMap
 from mapreplay.analysis.whatif.grid import release, what_if, what_if_frame
 from mapreplay.config import EpisodeConfig
@@ -19,6 +19,7 @@ from mapreplay.grid import Grid
 from mapreplay.mapping import Thresholds
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.writer import EpisodeWriter
+from mapreplay.recorders.pictures.palette import PAGE_DARK
 from mapreplay.stages import look_around
 from recordings import record, three_rooms, two_rooms
 
@@ -128,7 +129,7 @@ def test_the_heat_map_is_a_picture_and_the_same_one_each_time(log: EpisodeLog) -
     png = render(picture, (6, 3), form="png")
     assert png.startswith(b"\x89PNG")
     assert png == render(picture, (6, 3), form="png")
-    assert png != render(picture, (6, 3), DARK, form="png")
+    assert png != render(picture, (6, 3), PAGE_DARK, form="png")
     assert render(picture, (6, 3)) == render(picture, (6, 3))
 
 

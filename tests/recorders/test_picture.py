@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 
 from drawing import draw
 from mapreplay.episode import Episode, run_episode
+from mapreplay.pictures import Picture
 from mapreplay.recorders.pictures.annotations import Mark, mark_colours, shown_at
 from mapreplay.recorders.pictures.layers import MapView
-from mapreplay.recorders.pictures.painter import MapPainter, Picture, enlarge
+from mapreplay.recorders.pictures.painter import MapPainter, enlarge
 from mapreplay.recorders.pictures.palette import (
     AGENT_COLOUR,
     CELL_COLOURS,
@@ -37,7 +38,7 @@ def steps(episode: Episode) -> list[Step]:
 
 @pytest.fixture
 def painter(episode: Episode) -> MapPainter:
-    return MapPainter.of(episode.header)
+    return MapPainter(episode.header)
 
 
 def drawn(picture: Picture) -> str:
