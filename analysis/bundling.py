@@ -19,8 +19,8 @@ from typing import Final
 
 import numpy as np
 
+from mapreplay.analysis.diagnosis.annotations import sealing_marks
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, diagnose
-from mapreplay.analysis.diagnosis.marks import sealing_marks
 from mapreplay.analysis.diagnosis.paragraph import paragraph, what_if
 from mapreplay.analysis.diagnosis.record import record_of, to_json
 from mapreplay.config import WEIGHTS_ENDING

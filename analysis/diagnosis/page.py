@@ -1,4 +1,4 @@
-"""A diagnosis as a page: the maps at the sealing, the histories of the culprits, the counts."""
+"""A diagnosis as a page: the maps at the sealing, the histories of the blocking cells, counts."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from mapreplay.analysis.diagnosis import tables
-from mapreplay.analysis.diagnosis.corpus import corpus_claims, groups
+from mapreplay.analysis.diagnosis.annotations import sealing_marks
+from mapreplay.analysis.diagnosis.corpus import groups, pooled_reliability
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, Sealing
-from mapreplay.analysis.diagnosis.marks import sealing_marks
 from mapreplay.analysis.diagnosis.paragraph import paragraph, what_if
 from mapreplay.analysis.diagnosis.taxonomy import KINDS
 from mapreplay.analysis.reporting.figures import colour, in_the_dark, render
@@ -54,7 +54,7 @@ def diagnosis_page(diagnoses: Sequence[tuple[Path, Diagnosis]]) -> str:
         LogError: a log can no longer be read.
     """
     found = [diagnosis for _, diagnosis in diagnoses]
-    claims = corpus_claims(found)
+    reliability = pooled_reliability(found)
     whole = groups(found)[0]
     blocks: list[Block] = []
     if len(found) > 1:
@@ -62,7 +62,7 @@ def diagnosis_page(diagnoses: Sequence[tuple[Path, Diagnosis]]) -> str:
     sealed = [(path, d) for path, d in diagnoses if d.sealings]
     for path, diagnosis in sealed[:MOST]:
         blocks.append(Heading(diagnosis.header.floor_plan.id))
-        blocks.append(Paragraph(paragraph(diagnosis, claims)))
+        blocks.append(Paragraph(paragraph(diagnosis, reliability)))
         if command := what_if(diagnosis, path):
             blocks.append(Command(shell_command(command)))
         blocks += _pictures(path, diagnosis)
@@ -72,7 +72,7 @@ def diagnosis_page(diagnoses: Sequence[tuple[Path, Diagnosis]]) -> str:
     others = [(path, d) for path, d in diagnoses if not d.sealings]
     if others and len(diagnoses) <= MOST:
         blocks.append(Heading("Never sealed in"))
-        blocks.append(Items([[paragraph(d, claims)] for _, d in others]))
+        blocks.append(Items([[paragraph(d, reliability)] for _, d in others]))
     blocks.append(Heading("What the names mean"))
     blocks.append(Facts([(kind.name.replace("_", " "), kind.rule) for kind in KINDS]))
     lead = (
@@ -104,7 +104,7 @@ def _pictures(path: Path, diagnosis: Diagnosis) -> list[Block]:
         maps = [
             Illustration(
                 map_png(painter, view, step, sealing, track),
-                f"{view.heading} map at step {step.index}, the culprits marked",
+                f"{view.heading} map at step {step.index}, the blocking cells marked",
                 f"{view.heading}, step {step.index}",
                 pixelated=True,
             )
@@ -117,8 +117,8 @@ def _pictures(path: Path, diagnosis: Diagnosis) -> list[Block]:
             blocks.append(
                 Illustration(
                     svg,
-                    "P(occupied) of each culprit over the steps, with the threshold",
-                    "What the network thought of the culprits; the vertical line is the sealing",
+                    "P(occupied) of each blocking cell over the steps, with the threshold",
+                    "P(occupied) of the blocking cells over the steps; vertical line: the sealing",
                     in_the_dark(svg),
                 )
             )
@@ -136,7 +136,7 @@ def legend(sealing: Sealing) -> str:
     said = ", ".join(f"{_NAMES.get(colours[name], 'marked')}: {name}" for name in names)
     return (
         f"Purple: the agent and its trail; {said}; in the error map red: false wall, blue: wall "
-        "taken for free."
+        "predicted free."
     )
 
 
@@ -149,7 +149,7 @@ def map_png(
 
 @dataclass(frozen=True, eq=False)
 class HistoryFigure:
-    """P(occupied) of each culprit over the steps."""
+    """P(occupied) of each blocking cell over the steps."""
 
     diagnosis: Diagnosis
     sealing: Sealing
@@ -166,7 +166,9 @@ class HistoryFigure:
                 axes.plot([seen], [blame.history[seen]], "o", color=ink)
         high = float(self.diagnosis.header.at(first).thresholds.occupied_at_least)
         axes.axhline(high, color=faint, linestyle=":", linewidth=1)
-        axes.annotate("taken for a wall above", (0, high), color=faint, fontsize=8, va="bottom")
+        axes.annotate(
+            "predicted wall above this line", (0, high), color=faint, fontsize=8, va="bottom"
+        )
         axes.axvline(first, color=ink, linewidth=1)
         axes.set_xlabel("step")
         axes.set_ylabel("P(occupied)")

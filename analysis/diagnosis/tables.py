@@ -41,11 +41,11 @@ def kinds_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
                 "n": row.sealings,
                 "share": share(row.share.share),
                 "cover": row.coverage,
-                "walls": count(row.culprits),
-                "door": count(row.doorway),
+                "walls": count(row.blocking),
+                "door": count(row.opening),
                 "P": row.p_wall,
                 "delta>": row.threshold,
-                "view": count(row.view),
+                "view": count(row.viewpoint),
                 "fail-safe": count(row.fail_safe),
             }
             for row in corpus.kind_counts(diagnoses)
@@ -69,11 +69,11 @@ def endings_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
 
 
 def costs_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
-    """What it cost to get out again."""
+    """What it cost to be freed."""
     return pl.DataFrame(
         [
             {
-                "let out again": row.by if row.by == "all" else f"{row.by} {row.value}",
+                "freed": row.by if row.by == "all" else f"{row.by} {row.value}",
                 "n": row.episodes,
                 "times": row.times,
                 "moves": mean(row.moves, 0),
@@ -85,8 +85,8 @@ def costs_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
     )
 
 
-def places_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
-    """Where culprits lie, and where agents are."""
+def passages_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
+    """Where blocking cells lie, and where agents are."""
     return pl.DataFrame(
         [
             {
@@ -96,24 +96,24 @@ def places_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
                 "95 %": interval(row.sealings),
                 "share of all steps": share(row.steps),
             }
-            for row in corpus.attractions(diagnoses)
+            for row in corpus.passage_shares(diagnoses)
             if row.sealings.of
         ]
     )
 
 
-def calibration_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
-    """How sure the network was of what sealed."""
+def reliability_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
+    """How confident the network was of walls that sealed."""
     return pl.DataFrame(
         [
             {
                 "P(occupied)": f"{row.low:g} to {row.high:g}",
-                "predicted cells": row.claims,
+                "predicted cells": row.cells,
                 "truly walls": share(row.right),
-                "first culprits": row.sealed,
+                "first blocking cells": row.sealed,
             }
-            for row in corpus.calibration(diagnoses)
-            if row.claims or row.sealed
+            for row in corpus.reliability_bins(diagnoses)
+            if row.cells or row.sealed
         ]
     )
 
@@ -157,14 +157,14 @@ def all_tables(diagnoses: Sequence[Diagnosis]) -> list[tuple[str, pl.DataFrame]]
         ("Sealed in", groups_table(diagnoses)),
         ("Why, and what would have helped (medians)", kinds_table(diagnoses)),
         ("How it ended", endings_table(diagnoses)),
-        ("At which cost: means of an episode, with 95 % intervals", costs_table(diagnoses)),
+        ("Cost of being freed: means per episode, with 95 % intervals", costs_table(diagnoses)),
         (
-            "Where: true width of the passage, beside where the agents walked",
-            places_table(diagnoses),
+            "Where: true width of the passage, compared with where the agents were",
+            passages_table(diagnoses),
         ),
         (
-            "How sure: predicted walls that sealed, and all predictions",
-            calibration_table(diagnoses),
+            "How confident: predicted walls that sealed, and all predictions",
+            reliability_table(diagnoses),
         ),
-        ("Otherwise", harms_table(diagnoses)),
+        ("Other harm", harms_table(diagnoses)),
     ]

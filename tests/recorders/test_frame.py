@@ -31,7 +31,9 @@ SIZE = (960, 540)
 def rooms(tmp_path_factory: pytest.TempPathFactory) -> Filmed:
     """Nine steps in a map of 12 x 12 cells, with a mark from step 2 to 5."""
     log = EpisodeLog(record(tmp_path_factory.mktemp("rooms"), two_rooms()).path)
-    mark = Mark("culprit", 2, 5, np.array([[6, 2], [6, 3]], np.int32), "this wall is not there")
+    mark = Mark(
+        "blocking cell", 2, 5, np.array([[6, 2], [6, 3]], np.int32), "this wall is not there"
+    )
     return Filmed.of(log, [mark])
 
 
