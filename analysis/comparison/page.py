@@ -209,7 +209,7 @@ def _card(
             page.Heading(comparison.floor_plans[i], 3),
             page.Paragraph(sentence),
             page.Columns(pictures),
-            page.Command(shell_command(view_command(files[0], files[1], last))),
+            page.CommandLine(shell_command(view_command(files[0], files[1], last))),
         ]
     )
 

@@ -20,7 +20,7 @@ from mapreplay.analysis.reporting.figures import colour, in_the_dark, render
 from mapreplay.analysis.reporting.page import (
     Block,
     Columns,
-    Command,
+    CommandLine,
     Facts,
     Heading,
     Illustration,
@@ -64,7 +64,7 @@ def diagnosis_page(diagnoses: Sequence[tuple[Path, Diagnosis]]) -> str:
         blocks.append(Heading(diagnosis.header.floor_plan.id))
         blocks.append(Paragraph(paragraph(diagnosis, reliability)))
         if command := what_if(diagnosis, path):
-            blocks.append(Command(shell_command(command)))
+            blocks.append(CommandLine(shell_command(command)))
         blocks += _pictures(path, diagnosis)
     if len(sealed) > MOST:
         left = len(sealed) - MOST

@@ -8,8 +8,8 @@ import polars as pl
 
 from mapreplay.analysis.diagnosis import corpus
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis
-from mapreplay.analysis.reporting.wording import share, with_interval
-from mapreplay.analysis.stats.estimates import Estimate, Proportion
+from mapreplay.analysis.reporting.wording import UNDEFINED, interval, share, with_interval
+from mapreplay.analysis.stats.estimates import Proportion
 
 
 def groups_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
@@ -21,7 +21,7 @@ def groups_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
                 "n": row.episodes,
                 "in": row.sealed.count,
                 "share": share(row.sealed.share),
-                "95 %": interval(row.sealed),
+                "95 %": _percent_interval(row.sealed),
                 "for good": row.final,
                 "times": row.sealings,
                 "moves": row.moves,
@@ -41,12 +41,12 @@ def kinds_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
                 "n": row.sealings,
                 "share": share(row.share.share),
                 "cover": row.coverage,
-                "walls": count(row.blocking),
-                "door": count(row.opening),
+                "walls": _median(row.blocking),
+                "door": _median(row.opening),
                 "P": row.p_wall,
                 "delta>": row.threshold,
-                "view": count(row.viewpoint),
-                "fail-safe": count(row.fail_safe),
+                "view": _median(row.viewpoint),
+                "fail-safe": _median(row.fail_safe),
             }
             for row in corpus.kind_counts(diagnoses)
         ]
@@ -60,8 +60,8 @@ def endings_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
             {
                 "ended by": ending.replace("_", " "),
                 "sealings": times,
-                "median moves": count(median),
-                "most": count(most),
+                "median moves": _median(median),
+                "most": _median(most),
             }
             for ending, (times, median, most) in corpus.endings(diagnoses).items()
         ]
@@ -76,9 +76,9 @@ def costs_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
                 "freed": row.by if row.by == "all" else f"{row.by} {row.value}",
                 "n": row.episodes,
                 "times": row.times,
-                "moves": mean(row.moves, 0),
-                "metres": mean(row.metres, 1),
-                "% of moves": mean(row.share, 0, 100),
+                "moves": with_interval(row.moves, 0),
+                "metres": with_interval(row.metres, 1),
+                "% of moves": with_interval(row.share, 0, 100),
             }
             for row in corpus.costs(diagnoses)
         ]
@@ -93,7 +93,7 @@ def passages_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
                 "place": row.feature,
                 "sealings": row.sealings.count,
                 "share": share(row.sealings.share),
-                "95 %": interval(row.sealings),
+                "95 %": _percent_interval(row.sealings),
                 "share of all steps": share(row.steps),
             }
             for row in corpus.passage_shares(diagnoses)
@@ -126,7 +126,7 @@ def harms_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
                 "what": row.kind,
                 "episodes": row.episodes.count,
                 "share": share(row.episodes.share),
-                "95 %": interval(row.episodes),
+                "95 %": _percent_interval(row.episodes),
                 "times": row.times,
                 "moves": row.moves,
             }
@@ -135,20 +135,13 @@ def harms_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
     )
 
 
-def interval(rate: Proportion) -> str:
-    """Its 95 % interval, in percent."""
-    return "-" if rate.low != rate.low else f"{100 * rate.low:.1f} to {100 * rate.high:.1f}"
+def _percent_interval(share: Proportion) -> str:
+    return interval(share.low, share.high, factor=100)
 
 
-def mean(estimate: Estimate, digits: int, scale: float = 1) -> str:
-    """With its 95 % interval: ``10 (8 to 13)``."""
-    mean, low, high = (scale * v for v in (estimate.mean, estimate.low, estimate.high))
-    return with_interval(Estimate(mean, low, high, estimate.plans), digits)
-
-
-def count(value: float) -> str:
-    """A median of whole numbers."""
-    return "-" if value != value else f"{value:g}"
+def _median(value: float) -> str:
+    """A median of whole numbers: ``2``, ``2.5``."""
+    return UNDEFINED if value != value else f"{value:g}"
 
 
 def all_tables(diagnoses: Sequence[Diagnosis]) -> list[tuple[str, pl.DataFrame]]:

@@ -1,4 +1,4 @@
-"""What all figures have in common: their style, for a light page and for a dark one, and files."""
+"""What all figures share: their style, for a light and for a dark page, and their files."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ COLOURS: Final = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY_BLUE)
 """Of groups, in their order; the next one has the colour of the ink."""
 MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X")
 LINES: Final = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1)), (0, (1, 1)))
-"""So that a figure can be read without its colours."""
+"""So that a figure is readable without its colours."""
 _LONGEST: Final = 60
 """Characters of a name."""
 
@@ -45,14 +45,14 @@ def colour(number: int, theme: Theme) -> str:
 
 
 def label(name: str) -> str:
-    """A name from outside, for a legend, an axis or a title: `printable`, and not too long."""
+    """A name from outside, for a legend, an axis or a title: printable, and not too long."""
     text = shortened(name, _LONGEST)
-    # What begins with an underscore is left out of a legend.
+    # matplotlib leaves names that begin with an underscore out of a legend.
     return f" {text}" if text.startswith("_") else text
 
 
 def plain(figure: Figure) -> None:
-    """Let no text of a figure be TeX, whatever is in it, and no control character reach a file."""
+    """Draw all text as it is, never as TeX, and let no control character into a file."""
     for text in figure.findobj(Text):
         if isinstance(text, Text):
             text.set_parse_math(False)
@@ -61,8 +61,8 @@ def plain(figure: Figure) -> None:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """What matplotlib warns of is how a figure looks: letters that its font does not have (in an
-    SVG the reader's font has them), too little room. It is no matter for the terminal.
+    """Silence matplotlib's warnings on looks: letters that its font does not have (in an SVG the
+    reader's font has them), too little room.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
@@ -95,7 +95,7 @@ def render(draw: Draw, size: tuple[float, float], theme: Theme = PAGE, form: str
         "grid.linewidth": 0.6,
         "legend.frameon": False,
         "savefig.facecolor": paper,
-        "svg.fonttype": "none",  # letters stay letters: small, and to be searched
+        "svg.fonttype": "none",  # text stays text: small, and searchable
         "svg.hashsalt": "mapreplay",
         "text.color": ink,
         "xtick.color": ink,
@@ -112,7 +112,7 @@ def render(draw: Draw, size: tuple[float, float], theme: Theme = PAGE, form: str
 
 
 def in_the_dark(svg: bytes) -> bytes:
-    """An SVG that was rendered for a light page, for a dark one."""
+    """An SVG that was rendered for a light page, in the colours of a dark one."""
     for part in ("paper", "ink", "faint", "line"):
         light, dark = (hex_of(getattr(theme, part)) for theme in (PAGE, PAGE_DARK))
         svg = svg.replace(light.encode(), dark.encode())
