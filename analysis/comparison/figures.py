@@ -165,7 +165,7 @@ class PairsFigure:
 
 @dataclass(frozen=True, eq=False)
 class Overview:
-    """All figures beside each other, for a file of their own."""
+    """All figures side by side, for a file of their own."""
 
     comparison: Comparison
 
@@ -183,7 +183,7 @@ class Overview:
 
 
 def horizon_of(comparison: Comparison) -> int:
-    """The step that the last of the episodes reached, within the largest budget."""
+    """The last step of the longest episode, within the largest budget."""
     longest = max(
         episode.coverage.size - 1
         for runs in comparison.episodes.values()

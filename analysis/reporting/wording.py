@@ -85,7 +85,7 @@ def reduction(estimate: Estimate) -> str:
     """A time compared with another, of the reduction ``1 - time / other``, which is at most 1.
 
     ``reduced by 47.1 % (32.8 to 53.8 %)``, ``7.4 % longer (2.0 to 11.3 %)``, ``64 times as long
-    (31 to 97 times)``; where the signs differ, both ends of the interval are written in words. A time
+    (31 to 97 times)``; where the signs differ, both ends are written in words. A time
     cannot be reduced by less than nothing, and a reduction by -6337 % is unreadable.
     """
     mean, low, high = estimate.mean, estimate.low, estimate.high

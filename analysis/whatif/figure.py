@@ -1,4 +1,4 @@
-"""A heat map of what thresholds would have meant."""
+"""A heat map of scores by thresholds."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class HeatMap:
             place.grid(visible=False)
         axes[0].set_ylabel("delta_occupied")
         axes[0].legend(loc="upper left", bbox_to_anchor=(0, -0.16), ncols=2)
-        figure.suptitle("Open loop: the trajectory stays as it was", x=0.01, ha="left", size=9)
+        figure.suptitle("Open loop: the trajectory stays as logged", x=0.01, ha="left", size=9)
 
 
 def _edges(values: tuple[float, ...]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
