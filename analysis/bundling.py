@@ -19,12 +19,13 @@ from typing import Final
 
 import numpy as np
 
+from mapreplay.analysis.diagnosis.annotations import sealing_marks
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, diagnose
-from mapreplay.analysis.diagnosis.marks import sealing_marks
 from mapreplay.analysis.diagnosis.paragraph import paragraph, what_if
 from mapreplay.analysis.diagnosis.record import record_of, to_json
 from mapreplay.config import WEIGHTS_ENDING
 from mapreplay.errors import LogError, UsageError
+from mapreplay.pictures import png_of
 from mapreplay.recorders.log.header import episode_pairs
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.writer import EpisodeWriter
@@ -115,21 +116,14 @@ def _config(log: EpisodeLog) -> bytes:
 
 def _picture(log: EpisodeLog, diagnosis: Diagnosis) -> bytes:
     """The fused map at the first sealing with its marks, or at the last step."""
-    import cv2
-
     sealing = diagnosis.sealings[0] if diagnosis.sealings else None
     step = log[sealing.first_step if sealing else -1]
     table = log.table()
     walked = table.filter(table["step"] <= step.index).select("row", "col")
     cells = walked.to_numpy().astype(np.int32)
     marks = sealing_marks(sealing) if sealing else []
-    picture = MapPainter.of(log.header).draw(
-        MapView.FUSED, step, _SIDE, _SIDE, track=cells, marks=marks
-    )
-    done, data = cv2.imencode(".png", picture[..., ::-1])
-    if not done:
-        raise LogError(f"{log.path}: its picture could not be encoded")
-    return bytes(data)
+    painter = MapPainter(log.header)
+    return png_of(painter.draw(MapView.FUSED, step, _SIDE, _SIDE, track=cells, marks=marks))
 
 
 def _told(diagnosis: Diagnosis) -> str:

@@ -1,4 +1,4 @@
-"""The same work on many things, in several processes."""
+"""The same work on many items, in several processes."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ class WorkerError(MapreplayError):
 
 
 def default_jobs(pieces: int) -> int:
-    """As many processes as there are cores, and work for them."""
+    """As many processes as there are cores and work for them."""
     return max(1, min(cores(), pieces // WORTH_A_PROCESS))
 
 
 def cores() -> int:
-    """Cores that this process may use: in a container, or by taskset, not all of the machine's."""
+    """Cores that this process may use: under taskset not all of the machine."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -47,15 +47,15 @@ def map_unordered(
     lost: Callable[[_T, WorkerError], _R] | None = None,
     name: Callable[[_T], str] | None = None,
 ) -> Iterator[_R]:
-    """work(item) of every item, as they are done; with one job in this process.
+    """work(item) of every item, as they are finished; with one job in this process.
 
     Results do not pile up: a process has at most one item in advance. `work` must be a function
     of a module. What it raises is raised here and ends the rest; where the rest matters, what it
-    returns should say what went wrong. Closing the generator ends the processes, after the item
-    that each is at if that is soon.
+    returns should say what went wrong. Closing the generator ends the processes, after their
+    current items if these are finished soon.
 
-    The death of a process costs the item that it was at. All others are done first; then it is
-    raised, unless there is a result that stands for the item.
+    The death of a process costs its current item. All others are finished first; then it is
+    raised, unless `lost` gives a result for the item.
 
     Args:
         work: What is done.

@@ -15,6 +15,7 @@ from mapreplay.errors import LogError
 from mapreplay.files import check_new, make_folder, whole_path, write_whole
 from mapreplay.grid import FREE, OCCUPIED, Grid, Quantized
 from mapreplay.mapping import dequantize
+from mapreplay.pictures import png_of
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.sensor import Hits
 from mapreplay.step import StepMetrics
@@ -178,5 +179,5 @@ def shade_prediction(p_wall: Quantized) -> npt.NDArray[np.uint8]:
 def _png(grey: npt.NDArray[np.uint8], scale: int) -> bytes:
     picture = np.flipud(grey)  # pictures have row 0 on top
     size = (picture.shape[1] * scale, picture.shape[0] * scale)
-    _, data = cv2.imencode(".png", cv2.resize(picture, size, interpolation=cv2.INTER_NEAREST))
-    return data.tobytes()
+    large = cv2.resize(picture, size, interpolation=cv2.INTER_NEAREST)
+    return png_of(np.asarray(large, np.uint8))

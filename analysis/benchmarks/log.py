@@ -1,4 +1,4 @@
-"""Benchmark of the log: recording, reading and size, beside other libraries in the same run.
+"""Benchmark of the log: recording, reading and size, compared with other libraries in the same run.
 
 Contenders take turns, and medians over the rounds are compared, so that a busy machine is as
 hard on one as on the other.
@@ -43,7 +43,7 @@ BLUR = "blur"
 
 @dataclass(frozen=True)
 class BlurPredictor:
-    """Walls are where walls are near: a cheap stand-in for a network, the same everywhere."""
+    """Walls are where walls are near: a cheap, deterministic substitute for a network."""
 
     identity: PredictorIdentity = PredictorIdentity(BLUR, "")
 
@@ -101,7 +101,7 @@ def four_in_a_square(plans: Sequence[FloorPlan]) -> FloorPlan:
 
 
 def measure_log(run: Run, rounds: int, folder: Path | None = None) -> Iterator[Measurement]:
-    """Recording, reading and size of one run; a first round that warms up is not counted.
+    """Recording, reading and size of one run; the first round is a warm-up and does not count.
 
     Args:
         run: The episode.
@@ -129,7 +129,7 @@ def _measure_recording(run: Run, folder: Path, rounds: int) -> Iterator[Measurem
     taken = _take_turns(turns, rounds)
     values = {how: 1e3 * taken[how] / len(run.steps) if how in taken else None
               for how in contenders}  # fmt: skip
-    yield from _compared("record", "ms a step", values)
+    yield from _compared("record", "ms per step", values)
 
 
 def _measure_reading(path: Path, steps: int, rounds: int) -> Iterator[Measurement]:
@@ -155,7 +155,7 @@ def _measure_reading(path: Path, steps: int, rounds: int) -> Iterator[Measuremen
         rounds,
     )
     values = {how: 1e3 * seconds / steps for how, seconds in maps.items()}
-    yield from _compared("read all maps", "ms a step", values)
+    yield from _compared("read all maps", "ms per step", values)
     scalars = _take_turns(
         {
             "mapreplay, EpisodeLog.table": lambda: _timed(lambda: EpisodeLog(path).table()),
@@ -164,7 +164,7 @@ def _measure_reading(path: Path, steps: int, rounds: int) -> Iterator[Measuremen
         rounds,
     )
     yield from _compared(
-        "read all scalars", "ms an episode", {how: 1e3 * s for how, s in scalars.items()}
+        "read all scalars", "ms per episode", {how: 1e3 * s for how, s in scalars.items()}
     )
 
 
@@ -184,7 +184,7 @@ def _measure_size(run: Run, path: Path) -> Iterator[Measurement]:
         "zstd -19 of the raw bytes": len(zstandard.compress(raw, 19)),
     }
     yield from _compared(
-        "size", "bytes a step", {how: size / len(run.steps) for how, size in sizes.items()}
+        "size", "bytes per step", {how: size / len(run.steps) for how, size in sizes.items()}
     )
 
 
@@ -228,7 +228,7 @@ def _timed(action: Callable[[], object]) -> float:
 
 
 def _take_turns(contenders: Mapping[str, Callable[[], float]], rounds: int) -> dict[str, float]:
-    """Median seconds of each; they run in turns, after one round that does not count."""
+    """Median seconds of each; they take turns, after a round of warm-up."""
     taken: dict[str, list[float]] = {how: [] for how in contenders}
     for number in range(rounds + 1):
         for how, contender in contenders.items():

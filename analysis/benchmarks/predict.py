@@ -1,4 +1,4 @@
-"""How fast the map predictor is on one core, beside PyTorch, and how far their numbers differ."""
+"""Speed of the map predictor on one core compared with PyTorch, and how far the numbers differ."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class PredictionSpeed:
 
     how: str
     ms_per_map: float
-    """CPU time, the least of several rounds over all maps."""
+    """CPU time, the minimum of several rounds over all maps."""
     maps_per_second: float
     speed_up: float
     """Against PyTorch, one map at a time, as it is by default."""

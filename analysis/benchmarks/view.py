@@ -1,4 +1,4 @@
-"""Benchmark of the view: from a log to an .rrd, beside the importer of Rerun's own viewer.
+"""Benchmark of the view: from a log to an .rrd, compared with the importer of Rerun's own viewer.
 
 Time is that of the processor, all threads together, so that a busy machine is measured like an
 idle one; the least of the rounds counts.
@@ -29,7 +29,7 @@ from mapreplay.recorders.viewer.view import save_rrd, viewer_program
 from mapreplay.workers import Program
 
 _SMALLEST: Final = 64
-"""Cells a side of a procedural floor plan."""
+"""Cells per side of a procedural floor plan."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class ViewMeasurement:
 
     how: str
     seconds: float
-    """Of processor time, the least of the rounds."""
+    """Of processor time, the minimum of the rounds."""
     megabytes: float
     """Of the .rrd."""
     share_of_raw: float

@@ -1,8 +1,8 @@
-"""Which group is better on the same floor plans, by how much, and how sure that is.
+"""Which group is better on the same floor plans, by how much, and how certain that is.
 
 Only floor plans and starts that every group has are compared; the runs of one (several seeds)
 are averaged first. A failure takes the whole budget that all have in common: being sealed in is
-a competing event, and is never dropped (see `statistics`).
+a competing event, and is never dropped (see `mapreplay.analysis.stats`).
 """
 
 from __future__ import annotations
@@ -45,26 +45,26 @@ from mapreplay.errors import MapreplayError, UsageError
 from mapreplay.step import NO_BUDGET, Outcome
 
 Values = npt.NDArray[np.float64]
-"""float64[plans]: one a floor plan, in the order of `Comparison.places`."""
+"""float64[plans]: one per floor plan, in the order of `Comparison.places`."""
 
 TESTS: Final = {"sign-flip": sign_flip, "wilcoxon": signed_rank}
 FEW: Final = 10
-"""Floor plans below which a bootstrap interval is rather too narrow."""
+"""Floor plans below which a bootstrap interval is too narrow."""
 
 
 @dataclass(frozen=True)
 class Terms:
-    """What all episodes are held to."""
+    """The target and the budget that all episodes are compared with."""
 
     target: float
     """Coverage of the built map."""
     budget: int | None
-    """Steps; None is what all groups had on a floor plan."""
+    """Steps; None: the least that the groups had on a floor plan."""
 
 
 @dataclass(frozen=True)
 class Measure:
-    """A number of an episode that groups are compared by."""
+    """A number per episode that groups are compared by."""
 
     name: str
     unit: str
@@ -130,7 +130,7 @@ class GroupResult:
     values: Mapping[str, Values]
     """Of each measure."""
     times: Values
-    """Mapping times, `NEVER` where a run of the floor plan did not get there."""
+    """Mapping times, `NEVER` where a run of the floor plan did not reach the target."""
     estimates: Mapping[str, Estimate]
     """Means over floor plans; that of the mapping time is restricted to the budget."""
 
@@ -149,12 +149,12 @@ class Effect:
 
 
 @dataclass(frozen=True, eq=False)
-class Saving:
+class GroupSaving:
     """How much less mapping time a group took than the baseline: mean of 1 - T / T_baseline."""
 
     group: str
     reduction: Estimate
-    """With the whole budget for who never got there."""
+    """With the whole budget where the target was not reached."""
     both: Estimate
     """On the floor plans that both mapped."""
     success: McNemar
@@ -167,7 +167,7 @@ class Comparison:
 
     by: tuple[str, ...]
     baseline: str | None
-    """None if there is but one group."""
+    """None if there is only one group."""
     target: float
     budgets: tuple[int, ...]
     """Of each place."""
@@ -176,13 +176,13 @@ class Comparison:
     """The id of each place's floor plan, with its start where one plan has several."""
     groups: tuple[GroupResult, ...]
     effects: tuple[Effect, ...]
-    savings: tuple[Saving, ...]
+    savings: tuple[GroupSaving, ...]
     measures: tuple[Measure, ...]
     """What is compared."""
     all_alike: TestResult | None
     """Friedman's test of the mapping times, with three groups or more."""
     notes: tuple[str, ...]
-    """What was left out, what else differs, and what the data cannot tell."""
+    """What was left out, what else differs, and what the data cannot show."""
     episodes: Mapping[str, Mapping[Place, list[LoggedEpisode]]]
     """By group and place."""
 
@@ -225,7 +225,7 @@ def compare(
     shared = [p for p in by_place[chosen] if all(p in places for places in by_place.values())]
     notes += _unpaired(groups, set(shared))
     if not shared:
-        raise MapreplayError("no floor plan and start is in all groups: nothing to pair")
+        raise MapreplayError("no floor plan and start is in all groups: there is nothing to pair")
     used = {name: {p: places[p] for p in shared} for name, places in by_place.items()}
     terms = Terms(_target(used, target, notes), budget)
     budgets = [_budget(used, place, terms, notes) for place in shared]
@@ -254,11 +254,11 @@ def compare(
 
 def _choose_baseline(groups: Sequence[Group], baseline: str | None) -> str:
     names = [group.name for group in groups]
-    if baseline is None:  # as in the paper: who plans on observations and builds them
+    if baseline is None:  # as in the paper: plan on observations and build them
         return next((g.name for g in groups if _observes_only(g)), names[0])
     fitting = [n for n in names if n == baseline] or [n for n in names if baseline in n.split()]
     if len(fitting) != 1:
-        said = "is several groups" if fitting else "is no group"
+        said = "matches several groups" if fitting else "is not a group"
         raise UsageError(f"--baseline {baseline} {said}: there is {', '.join(map(repr, names))}")
     return fitting[0]
 
@@ -282,7 +282,7 @@ _Runs = Mapping[Place, list[LoggedEpisode]]
 
 
 def _target(used: Mapping[str, _Runs], asked: float | None, notes: list[str]) -> float:
-    """A coverage that all episodes went for."""
+    """A coverage that was the target of all episodes, or less."""
     targets = {
         e.header.config.coverage for runs in used.values() for es in runs.values() for e in es
     }
@@ -294,7 +294,7 @@ def _target(used: Mapping[str, _Runs], asked: float | None, notes: list[str]) ->
     if len(targets) > 1:
         notes.append(
             f"target coverages differ ({', '.join(map(str, sorted(targets)))}): "
-            f"all are held to {least}; F1 and the like are of different ends"
+            f"all are compared at {least}; F1 and correct coverage are those at different ends"
         )
     return least
 
@@ -305,11 +305,11 @@ def _budget(used: Mapping[str, _Runs], place: Place, terms: Terms, notes: list[s
     if terms.budget is not None:
         if terms.budget > least:
             raise UsageError(
-                f"--budget {terms.budget}: some episodes had only {least} steps to spend"
+                f"--budget {terms.budget}: some episodes had a budget of only {least} steps"
             )
         return terms.budget
     if len(budgets) > 1:
-        notes.append("budgets differ: all are held to the least that a floor plan had")
+        notes.append("budgets differ: each floor plan counts with its smallest")
     return max(least, 1)
 
 
@@ -321,7 +321,7 @@ def _seeds(used: Mapping[str, _Runs]) -> list[str]:
     if all(found == next(iter(seeds.values())) for found in seeds.values()):
         return []
     counts = ", ".join(f"{name} {len(found)}" for name, found in seeds.items())
-    return [f"the groups have other seeds ({counts}): runs of a floor plan are averaged first"]
+    return [f"the groups have different seeds ({counts}): runs of a floor plan are averaged first"]
 
 
 def _result(
@@ -357,7 +357,7 @@ def _effects(
     others: Sequence[GroupResult],
     test: Callable[[Values], TestResult],
     measures: Sequence[Measure],
-) -> tuple[list[Effect], list[Saving]]:
+) -> tuple[list[Effect], list[GroupSaving]]:
     """All groups against the baseline, with one correction for all p-values."""
     plain, matched, both_mapped = [], [], []
     for group in others:
@@ -372,10 +372,10 @@ def _effects(
     corrected = holm([result.p for *_, result in plain] + [m.p for m in matched])
     effects = [Effect(*found, p) for found, p in zip(plain, corrected, strict=False)]
     savings = [
-        Saving(
+        GroupSaving(
             group.name,
-            # What is mapped where the agent starts takes a step's worth of time, so that the
-            # ratio is defined.
+            # A floor plan that is mapped from the start counts as one step, so that the ratio
+            # is defined.
             paired_reduction(group.values[TIME], np.maximum(reference.values[TIME], 1)),
             both,
             success,
@@ -389,16 +389,16 @@ def _effects(
 
 
 def _limits(plans: int, results: Sequence[GroupResult], effects: Sequence[Effect]) -> list[str]:
-    """What the data cannot tell, whatever they are."""
+    """What the data cannot show."""
     notes = []
     if plans == 1:
-        notes.append("1 floor plan: no interval, and no test can say anything")
+        notes.append("1 floor plan: no interval and no test")
     elif effects:
         smallest = min(e.test.smallest_p for e in effects)
         if smallest > 0.05 / len(effects):
             notes.append(f"{plans} floor plans: p cannot fall below {smallest:.2g}")
     if 1 < plans < FEW:
-        notes.append(f"{plans} floor plans: the intervals are rather too narrow")
+        notes.append(f"{plans} floor plans: the intervals are too narrow")
     for result in results:
         if not (result.times < NEVER).any():
             # The note that it is undefined follows from the estimate.

@@ -13,8 +13,9 @@ from matplotlib.ticker import PercentFormatter
 
 from mapreplay.analysis.comparison.compare import TIME, Comparison, GroupResult
 from mapreplay.analysis.episodes.curves import extended
-from mapreplay.analysis.reporting.figures import LINES, MARKERS, Theme, colour, label
+from mapreplay.analysis.reporting.figures import LINES, MARKERS, colour, label
 from mapreplay.analysis.stats.estimates import NEVER
+from mapreplay.recorders.pictures.palette import Theme, hex_of
 from mapreplay.text import shortened
 
 MOST_ROWS: Final = 40
@@ -49,7 +50,7 @@ class CoverageFigure:
             axes.fill_between(steps, low, high, color=shade, alpha=0.18, linewidth=0)
             axes.plot(steps, middle, LINES[number % len(LINES)], color=shade,
                       label=label(group.name), linewidth=1.6)  # fmt: skip
-        axes.axhline(self.comparison.target, color=theme.ink, linewidth=0.7, linestyle=":")
+        axes.axhline(self.comparison.target, color=hex_of(theme.ink), linewidth=0.7, linestyle=":")
         axes.set_title(f"{'Correct coverage' if self.correct else 'Coverage'}: median, quartiles")
         axes.set_xlabel("steps")
         axes.yaxis.set_major_formatter(PercentFormatter(1.0))
@@ -121,7 +122,9 @@ class PairsFigure:
         order = np.argsort(groups[0].values[TIME], kind="stable")
         rows = np.arange(len(order))
         times = np.array([group.values[TIME][order] for group in groups])
-        axes.hlines(rows, times.min(axis=0), times.max(axis=0), color=theme.faint, linewidth=1.4)
+        axes.hlines(
+            rows, times.min(axis=0), times.max(axis=0), color=hex_of(theme.line), linewidth=1.4
+        )
         for number, group in enumerate(groups):
             failed = group.times[order] == NEVER
             shade, marker = colour(number, theme), MARKERS[number % len(MARKERS)]
@@ -140,7 +143,7 @@ class PairsFigure:
         reference, *others = self.comparison.groups
         times = [group.values[TIME] for group in self.comparison.groups]
         top = float(np.nanmax(times, initial=1.0))
-        axes.plot([0, top], [0, top], color=theme.ink, linewidth=0.7)
+        axes.plot([0, top], [0, top], color=hex_of(theme.ink), linewidth=0.7)
         for number, group in enumerate(others, start=1):
             shade, marker = colour(number, theme), MARKERS[number % len(MARKERS)]
             failed = (group.times == NEVER) | (reference.times == NEVER)
@@ -162,7 +165,7 @@ class PairsFigure:
 
 @dataclass(frozen=True, eq=False)
 class Overview:
-    """All figures beside each other, for a file of their own."""
+    """All figures side by side, for a file of their own."""
 
     comparison: Comparison
 
@@ -180,7 +183,7 @@ class Overview:
 
 
 def horizon_of(comparison: Comparison) -> int:
-    """The step that the last of the episodes reached, within the largest budget."""
+    """The last step of the longest episode, within the largest budget."""
     longest = max(
         episode.coverage.size - 1
         for runs in comparison.episodes.values()

@@ -1,4 +1,4 @@
-"""Episodes in groups that differ in what is compared, and in nothing else that goes unsaid."""
+"""Episodes in groups that differ in what is compared; any other difference is reported."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mapreplay.errors import MapreplayError, UsageError
 from mapreplay.step import Branch, EpisodeHeader
 
 _NOT_COMPARED: Final = {"seed", "start"}
-"""Keys of a configuration that make pairs, and not groups."""
+"""Keys of a configuration that pair episodes rather than group them."""
 KEYS: Final = (
     *(key for key in EpisodeConfig.model_fields if key not in _NOT_COMPARED),
     "simulator",
@@ -26,7 +26,7 @@ COMBINED: Final = {
     "thresholds": ("delta_free", "delta_occupied"),
     "configuration": KEYS,
 }
-"""Several keys under one name; "configuration" are all."""
+"""Several keys under one name; "configuration" is all of them."""
 
 
 Label: TypeAlias = Callable[[LoggedEpisode, Sequence[str]], tuple[str, ...]]
@@ -35,7 +35,7 @@ Label: TypeAlias = Callable[[LoggedEpisode, Sequence[str]], tuple[str, ...]]
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Episodes of one configuration, as far as it matters."""
+    """Episodes of one configuration, in the keys that matter."""
 
     name: str
     episodes: tuple[LoggedEpisode, ...]
@@ -57,11 +57,11 @@ class Grouping:
     by: tuple[str, ...]
     """The keys whose values name a group."""
     notes: tuple[str, ...]
-    """What was left out or kept apart, and what else differs: a sentence each."""
+    """What was left out or kept apart, and what else differs: one sentence each."""
 
 
 def value_of(header: EpisodeHeader, key: str) -> str:
-    """What a group is called by one key."""
+    """The part of a group's name from one key."""
     if key == "predictor":
         return header.predictor.name
     if key == "simulator":
@@ -77,7 +77,7 @@ def value_of(header: EpisodeHeader, key: str) -> str:
 
 
 def _changes(branch: Branch) -> str:
-    """Of a branch and of those that it was branched from; not at which steps."""
+    """The changes of a branch and of its parents, without the steps."""
     before = branch.before.branch
     earlier = f"{_changes(before)}, then " if before else ""
     return earlier + ", ".join(branch.changes)
@@ -93,10 +93,10 @@ def _facts(header: EpisodeHeader) -> dict[str, str]:
 def group_episodes(episodes: Sequence[LoggedEpisode], by: Sequence[str]) -> Grouping:
     """Group by the values of `by`, and keep apart what else would be mixed in a group.
 
-    Episodes that were cut off are left out, and so is the second of two that cannot be told
-    apart. So are branches among other episodes, whose first steps they share, unless `by` names
-    "branch". Whatever else differs between the groups is said. The order of `episodes` does not
-    matter: floor plans are in the order of their ids, and runs in that of their seeds.
+    Episodes that were cut off are left out, and so is the second of two with the same
+    configuration and seed. So are branches among other episodes, whose first steps they share,
+    unless `by` names "branch". All other differences between the groups are reported. The order
+    of `episodes` does not matter: floor plans are sorted by id, and runs by seed.
 
     Raises:
         UsageError: there is no such key.
@@ -131,7 +131,7 @@ def group_episodes(episodes: Sequence[LoggedEpisode], by: Sequence[str]) -> Grou
     groups = []
     for values in sorted(found):
         name = " ".join(value for i in varying or range(len(keys)) if (value := values[i]))
-        groups.append(Group(name, tuple(_without_doubles(found[values], notes))))
+        groups.append(Group(name, tuple(_without_duplicates(found[values], notes))))
     if len(groups) > 1:
         others = [k for k in (*KEYS, "weights") if k not in names]
         also = [k for k in others if len({facts[id(e)][k] for e in finished}) > 1]
@@ -166,14 +166,14 @@ def _mixed(episodes: Iterable[LoggedEpisode], keys: Sequence[str], label: Label)
     return mixed
 
 
-def _without_doubles(
+def _without_duplicates(
     episodes: Iterable[LoggedEpisode], notes: list[str]
 ) -> Iterable[LoggedEpisode]:
     seen: dict[PairKey, LoggedEpisode] = {}
     for episode in episodes:
         if episode.key in seen:
             first = seen[episode.key].path
-            notes.append(f"left out, the same as {first}: {episode.path}")
+            notes.append(f"left out, a duplicate of {first}: {episode.path}")
         else:
             seen[episode.key] = episode
     return seen.values()

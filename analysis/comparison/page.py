@@ -11,7 +11,7 @@ from mapreplay.analysis.comparison.compare import (
     TIME,
     Comparison,
     GroupResult,
-    Saving,
+    GroupSaving,
 )
 from mapreplay.analysis.comparison.figures import CoverageFigure, IncidenceFigure, PairsFigure
 from mapreplay.analysis.diff.folders import view_command
@@ -28,14 +28,14 @@ from mapreplay.analysis.reporting.wording import (
     with_interval,
 )
 from mapreplay.config import MapKind
-from mapreplay.floorplans.preview import encode_png
+from mapreplay.pictures import png_of
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.pictures.layers import MapView
 from mapreplay.recorders.pictures.painter import MapPainter
 from mapreplay.text import shell_command
 
 EACH: Final = 2
-"""Worst and best floor plans that are shown, of each group."""
+"""Worst and best floor plans that are shown of each group."""
 MOST_GROUPS: Final = 3
 """Groups whose floor plans are shown."""
 PIXELS: Final = 320
@@ -59,16 +59,16 @@ def comparison_page(comparison: Comparison) -> page.Page:
         page.Columns(
             [
                 _figure(CoverageFigure(comparison), 4.0, "Coverage of the map under construction",
-                        "Median over floor plans and the quartiles around it; who has ended keeps "
-                        "the map that it had. Dotted: the target."),
+                        "Median over floor plans and quartiles; an ended episode keeps its last "
+                        "value. Dotted: the target."),
                 _figure(CoverageFigure(comparison, correct=True), 4.0, "Correct coverage",
-                        "The same of cells that are known and right."),
+                        "The same for cells that are known and correct."),
                 _figure(IncidenceFigure(comparison), 4.0, "Cumulative share of floor plans mapped",
-                        "Being sealed in is a competing event: who never arrives stays below. "
+                        "Being sealed in is a competing event: such floor plans are never mapped. "
                         + ("Bands: 95 % Wilson intervals." if len(comparison.places) > 1 else "")),
                 _figure(PairsFigure(comparison), PairsFigure(comparison).height,
                         "Mapping times of each floor plan",
-                        "Who did not reach the target is drawn hollow, at its whole budget."),
+                        "Hollow: the target was not reached; drawn at the whole budget."),
             ],
             wide=True,
         ),
@@ -117,9 +117,9 @@ def _headlines(comparison: Comparison) -> Iterator[page.Block]:
     yield page.Numbers(numbers)
 
 
-def _figure(draw: Draw, height: float, alt: str, caption: str) -> page.Picture:
+def _figure(draw: Draw, height: float, alt: str, caption: str) -> page.Illustration:
     svg = render(draw, (6.0, height))
-    return page.Picture(svg, alt, caption, in_the_dark(svg))
+    return page.Illustration(svg, alt, caption, in_the_dark(svg))
 
 
 def _groups_table(comparison: Comparison) -> page.Table:
@@ -162,19 +162,19 @@ def _effects_table(comparison: Comparison) -> page.Table:
     return page.Table(head, rows, right=[2, 4, 5])
 
 
-def _success(saving: Saving, comparison: Comparison) -> str:
+def _success(saving: GroupSaving, comparison: Comparison) -> str:
     m = saving.success
     return (
         f"Mapping time of {saving.group}: {reduction(saving.reduction)}; on the "
         f"{counted(saving.both.plans, 'floor plan')} that both mapped {reduction(saving.both)}. "
-        f"Mapped by it alone: {m.only_candidate}, by {comparison.baseline} alone: "
+        f"Mapped only by {saving.group}: {m.only_candidate}, only by {comparison.baseline}: "
         f"{m.only_reference} "
         f"(McNemar, exact: {p_value(m.p)}, Holm: {p_value(saving.success_p_holm)})."
     )
 
 
 def _extremes(comparison: Comparison, name: str) -> Iterator[page.Block]:
-    """The floor plans on which a group did worst and best against the baseline."""
+    """The floor plans with the worst and the best result of a group against the baseline."""
     reference, group = (
         next(g for g in comparison.groups if g.name == n) for n in (comparison.baseline, name)
     )
@@ -185,7 +185,7 @@ def _extremes(comparison: Comparison, name: str) -> Iterator[page.Block]:
     for title, chosen in (("worst", worst), ("best", best)):
         if not chosen:
             continue
-        yield page.Heading(f"Where {name} did {title}")
+        yield page.Heading(f"The {title} floor plans of {name}")
         for i in chosen:
             yield _card(comparison, reference, group, i, float(gain[i]))
 
@@ -209,26 +209,26 @@ def _card(
             page.Heading(comparison.floor_plans[i], 3),
             page.Paragraph(sentence),
             page.Columns(pictures),
-            page.Command(shell_command(view_command(files[0], files[1], last))),
+            page.CommandLine(shell_command(view_command(files[0], files[1], last))),
         ]
     )
 
 
 def _pictures(name: str, episode: LoggedEpisode) -> list[page.Block]:
-    """The map that an episode ended with, and what is wrong in it."""
+    """The map at the end of an episode, and its errors."""
     log = EpisodeLog(episode.path)
     if len(log) == 0:
         return []
     step = log[-1]
     track = log.table().select("row", "col").to_numpy().astype(np.int32)
-    painter = MapPainter.of(log.header)
+    painter = MapPainter(log.header)
     built = MapView.FUSED if log.header.config.build is MapKind.FUSED else MapView.OBSERVED
     views = [(built, f"{name}: built map after {step.index} steps, {episode.row.outcome}")]
     if log.header.floor_plan.has_truth:
-        views.append((MapView.ERROR, f"{name}: what is wrong in its fused map"))
+        views.append((MapView.ERROR, f"{name}: errors of its fused map"))
     return [
-        page.Picture(
-            encode_png(painter.draw(view, step, PIXELS, PIXELS, track=track)[..., ::-1]),
+        page.Illustration(
+            png_of(painter.draw(view, step, PIXELS, PIXELS, track=track)),
             caption,
             caption,
         )

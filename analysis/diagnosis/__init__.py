@@ -1,17 +1,21 @@
 """Why was the agent sealed in? What its predicted map did to it, from the log alone.
 
 ======================  ==================================================================
-`reach`                 what the agent believes that it can reach, and what it truly could
+`reach`                 what the agent believes it can reach, and what it could reach
 `detect`                when its way out vanished, came back, or was nearly closed
-`culprits`              the fewest false walls that, set right, open a way out
-`doorway`               the bottleneck in true free space that was closed
-`blame`                 the history of each culprit: probability, observations, flicker
-`remedy`                what would have helped: a threshold, a view, the fail-safe
-`taxonomy`              names for what happened, each with a rule that can be read
+`blocking`              the fewest false walls that have to be corrected for a way out
+`opening`               the minimum cut in true free space that was closed
+`passage`               what the floor plan looks like there
+`blame`                 the history of each blocking cell: probability, observations, flicker
+`remedy`                what would have helped: a threshold, a viewpoint, the fail-safe
+`taxonomy`              names for what happened, each with a readable rule
 `harms`                 the other ways in which a prediction hurts
+`reliability`           how often predictions of a given confidence are right
 `diagnosis`             all of this for one log
-`corpus`, `frame`       counted over many; one row a sealing
-`paragraph`, `record`,  told to a person, to a program, on a page, in the viewer
-`page`, `marks`
+`corpus`                counts over many logs
+`tables`,               the counts in a terminal; one row per sealing, for programs
+`sealing_table`
+`paragraph`, `record`,  a diagnosis in words, as JSON, as a page, on maps
+`page`, `annotations`
 ======================  ==================================================================
 """

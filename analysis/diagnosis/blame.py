@@ -1,4 +1,4 @@
-"""The blame chain: since when each culprit was taken for a wall, and from which evidence."""
+"""The blame chain: since when each blocking cell was a predicted wall, on which evidence."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mapreplay.mapping import dequantize
 from mapreplay.step import Cells
 
 AROUND: Final = 2
-"""The evidence around a cell is what was observed at most so many rows and columns away."""
+"""Evidence around a cell is what was observed at most this many rows and columns away."""
 
 Maps: TypeAlias = tuple[Grid, Quantized | None, Grid]
 """Observed map, prediction and fused map of a step."""
@@ -24,23 +24,23 @@ Maps: TypeAlias = tuple[Grid, Quantized | None, Grid]
 
 @dataclass(frozen=True, eq=False)
 class Blame:
-    """The history of one culprit."""
+    """The history of one blocking cell."""
 
     cell: Cell
     p_wall: float
     """P(occupied) when the agent was sealed in."""
     since: int
-    """The step from which on it was taken for a wall, up to the sealing."""
+    """The step since which it was predicted to be a wall, up to the sealing."""
     first: int
-    """The first step at which it was taken for a wall."""
+    """The first step at which it was predicted to be a wall."""
     flickers: int
-    """How often it was taken for a wall and then, unseen, no longer, before that."""
+    """How often, before that, it was predicted to be a wall and then, unobserved, no longer."""
     seen_free: int
-    """Of its surroundings (`AROUND`) at `since`: free cells that had been observed,"""
+    """Observed free cells around it (`AROUND`) at `since`."""
     seen_occupied: int
-    """occupied ones,"""
+    """Observed occupied cells there."""
     unseen: int
-    """and cells inside of the map that had not been observed."""
+    """Cells of the map there that had not been observed."""
     distance: float | None
     """Cells to the nearest observed cell at `since`; None if nothing was observed."""
     seen_at: int | None
@@ -50,13 +50,13 @@ class Blame:
 
     @property
     def confidence(self) -> float:
-        """What the network claimed: |2 p - 1|, in [0, 1]."""
+        """Of the network in its prediction: |2 p - 1|, in [0, 1]."""
         return abs(2 * self.p_wall - 1)
 
 
 @dataclass
 class _Trace:
-    """What is written down of a cell at every step."""
+    """What is recorded of a cell at every step."""
 
     history: list[float]
     wall: list[int]
@@ -66,24 +66,24 @@ class _Trace:
 
 def trace_blame(
     maps: Iterable[Maps],
-    culprits: Sequence[tuple[int, Cells]],
+    blocking: Sequence[tuple[int, Cells]],
     numbers: Iterable[int] | None = None,
 ) -> list[list[Blame]]:
     """The blame chains of several sealings, in one pass over the maps of a log.
 
     Args:
         maps: Of all steps of the log, in order.
-        culprits: For each sealing its first step and int32[n, 2] the cells to trace.
+        blocking: For each sealing its first step and int32[n, 2] the cells to trace.
         numbers: Of the steps; 0, 1, 2, ... by default.
 
     Returns:
-        For each sealing one chain a cell, in the order of the cells.
+        For each sealing one chain per cell, in the order of the cells.
     """
-    traces = [[_Trace([], [], None) for _ in cells] for _, cells in culprits]
-    starts = [[-1] * len(cells) for _, cells in culprits]
+    traces = [[_Trace([], [], None) for _ in cells] for _, cells in blocking]
+    starts = [[-1] * len(cells) for _, cells in blocking]
     around: dict[tuple[int, int], tuple[int, int, int, float | None]] = {}
     for index, (observed, p_wall, fused) in zip(numbers or count(), maps, strict=False):
-        for s, (step, cells) in enumerate(culprits):
+        for s, (step, cells) in enumerate(blocking):
             rows, cols = cells[:, 0], cells[:, 1]
             seen = observed[rows, cols] != UNKNOWN
             wall = (fused[rows, cols] == OCCUPIED) & ~seen
@@ -105,7 +105,7 @@ def trace_blame(
             _blame(trace, Cell(*cell), step, around.get((s, i), (0, 0, 0, None)))
             for i, (trace, cell) in enumerate(zip(traces[s], cells.tolist(), strict=True))
         ]
-        for s, (step, cells) in enumerate(culprits)
+        for s, (step, cells) in enumerate(blocking)
     ]
 
 

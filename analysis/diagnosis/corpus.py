@@ -1,4 +1,4 @@
-"""Diagnoses counted over a corpus: how often, why, at which cost, where, and how sure."""
+"""Diagnoses counted over a corpus: how often, why, at which cost, where, and how confident."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from mapreplay.analysis.diagnosis.claims import Claims
 from mapreplay.analysis.diagnosis.detect import Ending, NearMissKind
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, Sealing
 from mapreplay.analysis.diagnosis.harms import HarmKind
+from mapreplay.analysis.diagnosis.reliability import Reliability
 from mapreplay.analysis.diagnosis.taxonomy import KINDS, UNCLASSIFIED
 from mapreplay.analysis.stats.estimates import Estimate, Proportion, mean_interval, proportion
 from mapreplay.recorders.log.header import episode_pairs
 
-OUT: Final = frozenset({Ending.SEEN, Ending.PREDICTION, Ending.MAPPED})
+FREED: Final = frozenset({Ending.SEEN, Ending.PREDICTION, Ending.MAPPED})
 """Endings of a sealing after which the episode went on, or was done."""
 NARROW: Final = 6
-"""A place of at most so many cells' width is narrow: a door, a corridor, a closet."""
+"""A passage of at most this many cells is narrow: a door, a corridor, a closet."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class CorpusGroup:
     sealed: Proportion
     """Those that were sealed in at least once."""
     final: int
-    """Those that never got out."""
+    """Those that were never freed."""
     sealings: int
     moves: int
     """Made while sealed in, by all of them."""
@@ -117,22 +117,22 @@ class KindCount:
     """Of all sealings."""
     coverage: float
     """Median at the time."""
-    culprits: float
+    blocking: float
     """Median number."""
-    doorway: float
+    opening: float
     """Median width in cells."""
     p_wall: float
-    """Median of the first culprit."""
+    """Median of the first blocking cell."""
     threshold: float
     """Median delta_occupied above which it would not have happened; NaN if never known."""
-    view: float
-    """Median moves to the cheapest view."""
+    viewpoint: float
+    """Median moves to the informative viewpoint."""
     fail_safe: float
-    """Median moves of the fail-safe, where it gets out."""
+    """Median moves of the fail-safe, where it frees the agent."""
 
 
 def kind_counts(diagnoses: Sequence[Diagnosis]) -> list[KindCount]:
-    """One row a kind that there is, in the taxonomy's order."""
+    """A row per kind that occurs, in the taxonomy's order."""
     found = [sealing for diagnosis in diagnoses for sealing in diagnosis.sealings]
     rows = []
     for kind in (*(known.name for known in KINDS), UNCLASSIFIED):
@@ -149,11 +149,13 @@ def _kind(kind: str, chosen: Sequence[Sealing], of: int) -> KindCount:
         final=sum(sealing.is_final for sealing in chosen),
         share=proportion(len(chosen), of),
         coverage=_median(chosen, lambda s: s.coverage),
-        culprits=_median(chosen, lambda s: len(s.culprits.cells) if s.culprits else None),
-        doorway=_median(chosen, lambda s: s.doorway.width if s.doorway else None),
+        blocking=_median(chosen, lambda s: len(s.blocking.cells) if s.blocking else None),
+        opening=_median(chosen, lambda s: s.opening.width if s.opening else None),
         p_wall=_median(chosen, lambda s: s.blame[0].p_wall if s.blame else None),
         threshold=_median(chosen, lambda s: s.remedy.delta_occupied_above),
-        view=_median(chosen, lambda s: s.remedy.view.moves if s.remedy.view else None),
+        viewpoint=_median(
+            chosen, lambda s: s.remedy.viewpoint.moves if s.remedy.viewpoint else None
+        ),
         fail_safe=_median(chosen, lambda s: s.remedy.fail_safe_moves),
     )
 
@@ -164,19 +166,19 @@ def _median(chosen: Sequence[Sealing], value: Callable[[Sealing], float | None])
 
 
 @dataclass(frozen=True)
-class Attraction:
-    """Where the agent is sealed in, beside where it is."""
+class PassageShare:
+    """How often agents are sealed in at passages of a width, and how often they are there."""
 
     feature: str
     sealings: Proportion
-    """Sealings whose culprit lies at such a place."""
+    """Sealings whose blocking cell lies at such a place."""
     steps: float
     """Share of all steps at such a place."""
 
 
-def attractions(diagnoses: Sequence[Diagnosis]) -> list[Attraction]:
-    """By the true width of the place: of the passage at the culprit, of the agent's cell."""
-    places = [s.place for d in diagnoses for s in d.sealings if s.place is not None]
+def passage_shares(diagnoses: Sequence[Diagnosis]) -> list[PassageShare]:
+    """By the true width of the place: of the passage at the blocking cell, of the agent's cell."""
+    places = [s.passage for d in diagnoses for s in d.sealings if s.passage is not None]
     length = max((len(d.walked) for d in diagnoses), default=1)
     walked = np.zeros(length, np.int64)
     for diagnosis in diagnoses:
@@ -184,47 +186,50 @@ def attractions(diagnoses: Sequence[Diagnosis]) -> list[Attraction]:
     total = int(walked.sum())
     rows = []
     for low, high in ((1, 2), (3, 4), (5, NARROW), (NARROW + 1, 12), (13, length)):
-        inside = sum(low <= place.gap <= high for place in places)
+        inside = sum(low <= passage.gap <= high for passage in places)
         share = int(walked[low : high + 1].sum()) / total if total else float("nan")
         name = f"{low} to {high} cells wide" if high < length else f"{low} cells or wider"
-        rows.append(Attraction(name, proportion(inside, len(places)), share))
+        rows.append(PassageShare(name, proportion(inside, len(places)), share))
     return rows
 
 
 @dataclass(frozen=True)
-class Calibration:
-    """How sure the network was of walls that sealed, beside how often such claims are right."""
+class ReliabilityBin:
+    """Walls that sealed by their confidence, and how often such predictions are right."""
 
     low: float
     """Of P(occupied)."""
     high: float
-    claims: int
+    cells: int
     """Predicted cells of that probability, unseen and explorable, at the steps counted."""
     right: float
     """Share of them that are walls."""
     sealed: int
-    """First culprits of that probability: all of them free cells."""
+    """First blocking cells of that probability: all of them free cells."""
 
 
-def calibration(diagnoses: Sequence[Diagnosis]) -> list[Calibration]:
+def reliability_bins(diagnoses: Sequence[Diagnosis]) -> list[ReliabilityBin]:
     """By P(occupied), from .5 upwards."""
-    claims = corpus_claims(diagnoses)
-    culprits = np.array([s.blame[0].p_wall for d in diagnoses for s in d.sealings if s.blame])
+    reliability = pooled_reliability(diagnoses)
+    p_walls = np.array([s.blame[0].p_wall for d in diagnoses for s in d.sealings if s.blame])
     edges = (0.5, 0.7, 0.8, 0.9, 0.94, 0.98, 1.0)
     rows = []
     for low, high in pairwise(edges):
-        first, last = round(low * claims.counts.shape[1]), round(high * claims.counts.shape[1])
-        free, occupied = claims.counts[:, first:last].sum(axis=1).tolist()
+        first, last = (
+            round(low * reliability.counts.shape[1]),
+            round(high * reliability.counts.shape[1]),
+        )
+        free, occupied = reliability.counts[:, first:last].sum(axis=1).tolist()
         total = free + occupied
-        in_bin = (culprits >= low) & ((culprits < high) | (high == 1))
+        in_bin = (p_walls >= low) & ((p_walls < high) | (high == 1))
         right = occupied / total if total else float("nan")
-        rows.append(Calibration(low, high, total, right, int(in_bin.sum())))
+        rows.append(ReliabilityBin(low, high, total, right, int(in_bin.sum())))
     return rows
 
 
-def corpus_claims(diagnoses: Sequence[Diagnosis]) -> Claims:
-    """The claims of all logs together."""
-    return reduce(add, (diagnosis.claims for diagnosis in diagnoses), Claims())
+def pooled_reliability(diagnoses: Sequence[Diagnosis]) -> Reliability:
+    """That of all logs together."""
+    return reduce(add, (diagnosis.reliability for diagnosis in diagnoses), Reliability())
 
 
 @dataclass(frozen=True)
@@ -252,7 +257,7 @@ def harm_counts(diagnoses: Sequence[Diagnosis]) -> list[HarmCount]:
         moves = [sum(h.moves for h in d.harms if h.kind is harm) for d in diagnoses]
         rows.append(_harm(harm.replace("_", " "), times, moves))
     short = [int(d.coverage is not None and d.coverage.is_short) for d in diagnoses]
-    rows.append(_harm("mapped, but not rightly", short, [0] * len(short)))
+    rows.append(_harm("mapped, but not correctly", short, [0] * len(short)))
     return rows
 
 
@@ -274,7 +279,7 @@ def endings(diagnoses: Sequence[Diagnosis]) -> dict[Ending, tuple[int, float, fl
 
 @dataclass(frozen=True)
 class Cost:
-    """What it cost to get out again: means over the episodes that were sealed in and always did."""
+    """What it cost to be freed: means over the episodes that were sealed in and always freed."""
 
     by: str
     value: str
@@ -290,12 +295,12 @@ class Cost:
 
 
 def costs(diagnoses: Sequence[Diagnosis]) -> list[Cost]:
-    """All, by planner and by predictor; nothing where nobody got out.
+    """All, by planner and by predictor; nothing where none was freed.
 
     The same diagnoses give the same intervals in whatever order they come.
     """
-    out = [d for d in diagnoses if d.sealings and all(s.ending in OUT for s in d.sealings)]
-    out.sort(key=lambda d: (d.header.floor_plan.id, json.dumps(episode_pairs(d.header))))
+    freed = [d for d in diagnoses if d.sealings and all(s.ending in FREED for s in d.sealings)]
+    freed.sort(key=lambda d: (d.header.floor_plan.id, json.dumps(episode_pairs(d.header))))
     return [
         Cost(
             by=by,
@@ -306,7 +311,7 @@ def costs(diagnoses: Sequence[Diagnosis]) -> list[Cost]:
             metres=_mean(members, lambda d: sum(s.metres for s in d.sealings)),
             share=_mean(members, lambda d: sum(s.moves for s in d.sealings) / (d.steps - 1)),
         )
-        for by, value, members in _grouped(out, ("all", "planner", "predictor"))
+        for by, value, members in _grouped(freed, ("all", "planner", "predictor"))
     ]
 
 
@@ -314,17 +319,23 @@ def _mean(members: Sequence[Diagnosis], value: Callable[[Diagnosis], float]) -> 
     return mean_interval(np.array([value(diagnosis) for diagnosis in members], np.float64))
 
 
+_KEYS: Final = {
+    "blocking": "culprits", "opening": "doorway", "viewpoint": "view", "cells": "claims",
+}  # fmt: skip
+"""Names of fields in JSON, where they are older."""
+
+
 def corpus_record(diagnoses: Sequence[Diagnosis]) -> dict[str, Any]:
     """All of it as plain values."""
 
     def plain(row: Any) -> dict[str, Any]:
-        return {key: _plain(value) for key, value in asdict(row).items()}
+        return {_KEYS.get(key, key): _plain(value) for key, value in asdict(row).items()}
 
     return {
         "groups": [plain(row) for row in groups(diagnoses)],
         "kinds": [plain(row) for row in kind_counts(diagnoses)],
-        "places": [plain(row) for row in attractions(diagnoses)],
-        "calibration": [plain(row) for row in calibration(diagnoses)],
+        "places": [plain(row) for row in passage_shares(diagnoses)],
+        "calibration": [plain(row) for row in reliability_bins(diagnoses)],
         "harms": [plain(row) for row in harm_counts(diagnoses)],
         "endings": {
             ending: {"sealings": count, "median_moves": median, "most_moves": most}

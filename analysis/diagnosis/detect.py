@@ -10,10 +10,10 @@ from typing import Final
 
 from mapreplay.analysis.diagnosis.reach import (
     Scratch,
+    corrected,
     false_walls,
     has_two_ways_out,
     hidden,
-    set_right,
 )
 from mapreplay.config import MapKind
 from mapreplay.grid import UNKNOWN, Cell, Grid
@@ -22,7 +22,7 @@ from mapreplay.stages import Past
 from mapreplay.step import EpisodeHeader, Mode, Outcome, Step
 
 NEXT_STEPS: Final = 3
-"""A way out that a prediction of so many steps later denies was nearly closed."""
+"""A way out was nearly closed if a prediction up to this many steps later closes it."""
 
 
 class Ending(StrEnum):
@@ -31,9 +31,9 @@ class Ending(StrEnum):
     FINAL = "final"
     """Nothing: the episode ended with it."""
     SEEN = "seen"
-    """What the agent saw meanwhile; with the old prediction it would be out as well."""
+    """New observations: with the old prediction it would be free as well."""
     PREDICTION = "prediction"
-    """The prediction changed; what was seen since does not suffice."""
+    """The prediction changed; the observations since then do not suffice."""
     MAPPED = "mapped"
     """The target coverage was reached while sealed in."""
     OUT_OF_STEPS = "out_of_steps"
@@ -48,7 +48,7 @@ class Span:
     first: Step
     """Its first step."""
     past: Past
-    """What that step took over."""
+    """What that step continued from."""
     last_step: int
     """The last step of it."""
     ending: Ending
@@ -59,7 +59,7 @@ class Span:
 
 
 class NearMissKind(StrEnum):
-    """What made it near."""
+    """Why it was near."""
 
     ONE_CELL = "one_cell"
     """One cell would have closed all ways to the frontier; without the false walls it takes
@@ -82,7 +82,7 @@ class NearMiss:
     """Whether it was sealed in within `NEXT_STEPS` steps after the last of them."""
 
 
-def can_be_sealed(header: EpisodeHeader) -> str | None:
+def reason_never_sealed(header: EpisodeHeader) -> str | None:
     """Why an agent with this configuration cannot be sealed in by predicted walls, or None."""
     config = header.config
     if config.plan_on is not MapKind.FUSED or config.build is not MapKind.FUSED:
@@ -93,7 +93,7 @@ def can_be_sealed(header: EpisodeHeader) -> str | None:
 def is_sealed(header: EpisodeHeader, step: Step, scratch: Scratch) -> bool:
     """Whether the agent has no frontier on its fused map although it could still see more.
 
-    With the true map that is exact: an explorable cell is hidden. Where nobody knows the true
+    With the true map that is exact: an explorable cell is hidden. Without a true
     map, any unknown cell counts.
     """
     if scratch.has_way_out(step.fused, step.agent):
@@ -150,7 +150,7 @@ class SealingDetector:
         return replace(span, moves=step.index - span.first.index, metres=metres - before)
 
     def _how(self, step: Step) -> Ending:
-        """What let the agent out at `step`."""
+        """What freed the agent at `step`."""
         if step.outcome is Outcome.MAPPED:
             return Ending.MAPPED
         if self._before is None or self._scratch.has_way_out(
@@ -202,7 +202,7 @@ class NearMissDetector:
         truth = self._header.floor_plan.cells
         if not has_two_ways_out(step.fused, step.agent):
             wrong = false_walls(truth, step.observed, step.fused)
-            if wrong.any() and has_two_ways_out(set_right(step.fused, wrong, truth), step.agent):
+            if wrong.any() and has_two_ways_out(corrected(step.fused, wrong, truth), step.agent):
                 self._steps[NearMissKind.ONE_CELL][step.index] = step.agent
 
     def _seals(self, fused: Grid, agent: Cell) -> bool:

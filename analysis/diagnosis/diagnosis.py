@@ -11,24 +11,24 @@ import numpy.typing as npt
 
 from mapreplay.analysis.diagnosis import taxonomy
 from mapreplay.analysis.diagnosis.blame import Blame, Maps, trace_blame
-from mapreplay.analysis.diagnosis.claims import ClaimCounter, Claims
-from mapreplay.analysis.diagnosis.culprits import Culprits, find_culprits
+from mapreplay.analysis.diagnosis.blocking import BlockingCells, find_blocking_cells
 from mapreplay.analysis.diagnosis.detect import (
     Ending,
     NearMiss,
     NearMissDetector,
     SealingDetector,
     Span,
-    can_be_sealed,
+    reason_never_sealed,
 )
-from mapreplay.analysis.diagnosis.doorway import Doorway, find_doorway, truly_inside
 from mapreplay.analysis.diagnosis.harms import Harm, HarmDetector, WrongCoverage, wrong_coverage
-from mapreplay.analysis.diagnosis.places import Surroundings, place_of, widths
+from mapreplay.analysis.diagnosis.opening import Opening, find_opening, truly_inside
+from mapreplay.analysis.diagnosis.passage import Passage, passage_at, widths
 from mapreplay.analysis.diagnosis.reach import Scratch, hidden, reached
+from mapreplay.analysis.diagnosis.reliability import Reliability, ReliabilityCounter
 from mapreplay.analysis.diagnosis.remedy import (
     Remedy,
-    cheapest_view,
     fail_safe_moves,
+    informative_viewpoint,
     threshold_of_free,
     threshold_of_walls,
 )
@@ -58,27 +58,27 @@ class Sealing:
     """Of the fused map then, 0 to 1."""
     correct_coverage: float
     inside: int
-    """Truly free cells that it could still get to on its map."""
+    """Truly free cells that it could still reach on its map."""
     hidden: int
     """Explorable cells that its map did not know."""
-    culprits: Culprits | None
+    blocking: BlockingCells | None
     """None without a true map."""
     blame: tuple[Blame, ...]
-    """One chain for each of the culprits' `cells`."""
-    doorway: Doorway | None
-    place: Surroundings | None
-    """What the plan looks like at the first culprit."""
+    """One chain for each of the blocking cells' `cells`."""
+    opening: Opening | None
+    passage: Passage | None
+    """What the plan looks like at the first blocking cell."""
     remedy: Remedy
 
     @property
     def is_final(self) -> bool:
-        """Whether the agent never got out."""
+        """Whether the agent was never freed."""
         return self.ending is Ending.FINAL
 
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """What a log says about what its predictions did."""
+    """What the predictions did to the agent of a log."""
 
     header: EpisodeHeader
     steps: int
@@ -89,8 +89,8 @@ class Diagnosis:
     harms: tuple[Harm, ...]
     coverage: WrongCoverage | None
     """None without a true map, or without a step."""
-    claims: Claims
-    """How often predicted probabilities were right in this log."""
+    reliability: Reliability
+    """How often predictions of each confidence were right in this log."""
     walked: npt.NDArray[np.int64]
     """int64[n]: how many steps the agent was at a place of true width 0, 1, ..., n - 1 cells."""
     notes: tuple[str, ...]
@@ -107,9 +107,9 @@ def diagnose(log: EpisodeLog) -> Diagnosis:
     header, region = log.header, log.header.explorable
     plan, notes = header.floor_plan, list(_limits(log))
     scratch = Scratch(plan.shape)
-    sealing = None if can_be_sealed(header) else SealingDetector(header, scratch)
+    sealing = None if reason_never_sealed(header) else SealingDetector(header, scratch)
     near = NearMissDetector(header, scratch)
-    harms, claims = HarmDetector(header), ClaimCounter(plan.cells, region)
+    harms, reliability = HarmDetector(header), ReliabilityCounter(plan.cells, region)
     width = widths(plan.cells) if plan.has_truth else np.zeros(plan.shape, np.int64)
     walked = np.zeros(int(width.max()) + 1, np.int64)
     last: Step | None = None
@@ -122,13 +122,13 @@ def diagnose(log: EpisodeLog) -> Diagnosis:
                 near.take(step, sealed=sealed)
         if plan.has_truth:
             harms.take(step)
-            claims.take(step)
+            reliability.take(step)
             walked[width[step.agent]] += 1
         predicted = predicted or step.p_wall is not None
     if sealing is not None:
         sealing.finish()
     if last is not None and not predicted:
-        notes.append("no prediction in the log: nothing that it could have caused")
+        notes.append("no prediction in the log: it cannot have caused anything")
     spans = sealing.spans if sealing else []
     return Diagnosis(
         header=header,
@@ -138,24 +138,24 @@ def diagnose(log: EpisodeLog) -> Diagnosis:
         near_misses=tuple(near.near_misses()),
         harms=tuple(harms.harms()),
         coverage=wrong_coverage(header, last) if plan.has_truth and last else None,
-        claims=claims.result(),
+        reliability=reliability.result(),
         walked=walked,
         notes=tuple(notes),
     )
 
 
 def _limits(log: EpisodeLog) -> list[str]:
-    """What the kind of log leaves unsaid."""
+    """What cannot be diagnosed from this kind of log."""
     header, notes = log.header, []
-    reason = can_be_sealed(header)
+    reason = reason_never_sealed(header)
     if reason is not None:
         notes.append(f"the agent cannot be sealed in by predicted walls: {reason}")
     if header.simulator != OURS:
         notes.append(f"recorded by {header.simulator}: the cost of the fail-safe is not known")
     if not header.floor_plan.has_truth:
         notes.append(
-            "no true map in the log: that the way out vanished is seen, but not whether there "
-            "was one, nor culprits, doorway, detours and wrong coverage"
+            "no true map in the log: it is known that the way out vanished, but not whether there "
+            "was one, nor blocking cells, the opening, detours and wrong coverage"
         )
     if not log.finished:
         notes.append(f"{log.state}: diagnosed as far as it goes")
@@ -168,12 +168,14 @@ def _explain(
     if not spans:
         return ()
     truth, has_truth = log.header.floor_plan.cells, log.header.floor_plan.has_truth
-    found: list[Culprits | None] = [
-        find_culprits(truth, s.first.observed, s.first.fused, s.first.agent) if has_truth else None
+    found: list[BlockingCells | None] = [
+        find_blocking_cells(truth, s.first.observed, s.first.fused, s.first.agent)
+        if has_truth
+        else None
         for s in spans
     ]
     chains: list[list[Blame]] = [[] for _ in spans]
-    traced = [i for i, culprits in enumerate(found) if culprits is not None]
+    traced = [i for i, blocking in enumerate(found) if blocking is not None]
     if traced:
         maps = cast("Iterable[Maps]", log.maps(MapName.OBSERVED, MapName.P_WALL, MapName.FUSED))
         wanted = [(spans[i].first.index, c.cells) for i in traced if (c := found[i]) is not None]
@@ -188,8 +190,8 @@ def _explain(
                     )
     planner = _planner(log, notes)
     return tuple(
-        _sealing(log, span, culprits, chain, planner, scratch)
-        for span, culprits, chain in zip(spans, found, chains, strict=True)
+        _sealing(log, span, blocking, chain, planner, scratch)
+        for span, blocking, chain in zip(spans, found, chains, strict=True)
     )
 
 
@@ -207,7 +209,7 @@ def _planner(log: EpisodeLog, notes: list[str]) -> Planner | None:
 def _sealing(
     log: EpisodeLog,
     span: Span,
-    culprits: Culprits | None,
+    blocking: BlockingCells | None,
     chain: list[Blame],
     planner: Planner | None,
     scratch: Scratch,
@@ -217,12 +219,12 @@ def _sealing(
     believed = reached(step.fused, step.agent)
     inside = truly_inside(truth, believed, step.agent)
     unseen = hidden(truth, step.fused, step.agent)
-    doorway = place = view = None
-    if culprits is not None:
-        doorway = find_doorway(truth, inside, unseen)
-        place = place_of(truth, step, culprits)
-        view = cheapest_view(
-            truth, step, inside, culprits, header.sensor, header.floor_plan.resolution, scratch
+    opening = passage = viewpoint = None
+    if blocking is not None:
+        opening = find_opening(truth, inside, unseen)
+        passage = passage_at(truth, step, blocking)
+        viewpoint = informative_viewpoint(
+            truth, step, inside, blocking, header.sensor, header.floor_plan.resolution, scratch
         )
     walls = free = moves = None
     if step.p_wall is not None:
@@ -242,10 +244,10 @@ def _sealing(
         correct_coverage=step.metrics.correct_coverage(MapKind.FUSED),
         inside=int(inside.sum()),
         hidden=int(unseen.sum()),
-        culprits=culprits,
+        blocking=blocking,
         blame=tuple(chain),
-        doorway=doorway,
-        place=place,
-        remedy=Remedy(walls, free, view, moves),
+        opening=opening,
+        passage=passage,
+        remedy=Remedy(walls, free, viewpoint, moves),
     )
     return taxonomy.classified(sealing)

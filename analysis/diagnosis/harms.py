@@ -1,4 +1,4 @@
-"""The other ways in which a prediction hurts: where it sent the agent, and what it claimed."""
+"""The other ways in which a prediction hurts: detours, oscillation, wrong coverage."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from mapreplay.grid import FREE, OCCUPIED, Cell, Grid, Mask
 from mapreplay.step import Decision, EpisodeHeader, Outcome, Step
 
 SOON: Final = 20
-"""A target that is taken up again within so many steps was given up for nothing."""
+"""A target that is chosen again within this many steps was given up for nothing."""
 AROUND: Final = 5
-"""Rows and columns around a target in which an observation may have changed what it is worth: on
+"""Rows and columns around a target in which an observation may have changed its utility: on
 validation plans 95 % of the rewards that observations changed by more than a tenth had one there
 (`samples/experiments/oscillation_radius.py`)."""
 SAME_PLACE: Final = 2
-"""Targets at most so many rows and columns apart are one place."""
+"""Targets at most this many rows and columns apart count as one."""
 
 
 class HarmKind(StrEnum):
@@ -57,7 +57,7 @@ class Harm:
 
 @dataclass(frozen=True)
 class WrongCoverage:
-    """What the built map claims at the end, and what of it is wrong."""
+    """The coverage of the built map at the end, and what of it is wrong."""
 
     claimed: float
     """Coverage of the built map, 0 to 1."""
@@ -72,7 +72,7 @@ class WrongCoverage:
 
 
 def is_real_frontier(truth: Grid, region: Mask, target: Cell) -> bool:
-    """Whether an agent can get to `target` and see something there: it is free and explorable
+    """Whether an agent can reach `target` and see something there: it is free and explorable
     (bool[H, W] `region`); then its unknown neighbours are explorable too.
     """
     return bool(truth[target] == FREE and region[target])
@@ -135,7 +135,7 @@ class HarmDetector:
                 continue
             last = self._oscillations[-1] if self._oscillations else None
             first = before.step
-            if last is not None and first <= last.last_step:  # one going to and fro
+            if last is not None and first <= last.last_step:  # the same oscillation goes on
                 first = min(last.first_step, first)
                 self._oscillations.pop()
             self._oscillations.append(Harm(HarmKind.OSCILLATION, first, index, target))
@@ -153,7 +153,7 @@ class HarmDetector:
 
 
 def wrong_coverage(header: EpisodeHeader, last: Step) -> WrongCoverage:
-    """What the map that was built claims at the last step, on explorable cells."""
+    """The coverage of the built map at the last step, on explorable cells."""
     config, truth, region = header.config, header.floor_plan.cells, header.explorable
     built = last.observed if config.build is MapKind.OBSERVED else last.fused
     correct = last.metrics.correct_coverage(config.build)

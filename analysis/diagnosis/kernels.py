@@ -203,7 +203,7 @@ def has_two_ways(grid: Any, row: int, col: int) -> bool:
 
 
 @njit
-def first_view(truth: Any, cells: Any, offsets: Any, wanted: Any) -> int:
+def first_viewpoint(truth: Any, cells: Any, offsets: Any, wanted: Any) -> int:
     """The number of the first of `cells` (int32[n, 2]) from which the sensor marks a cell of
     `wanted` (bool[H, W]); -1 if there is none. What is not 0 in `truth` stops a ray.
     """

@@ -1,38 +1,41 @@
-"""A diagnosis as a page: the maps at the sealing, the histories of the culprits, the counts."""
+"""A diagnosis as a page: the maps at the sealing, the histories of the blocking cells, counts."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from mapreplay.analysis.diagnosis import tables
-from mapreplay.analysis.diagnosis.corpus import corpus_claims, groups
+from mapreplay.analysis.diagnosis.annotations import sealing_marks
+from mapreplay.analysis.diagnosis.corpus import groups, pooled_reliability
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, Sealing
-from mapreplay.analysis.diagnosis.marks import sealing_marks
 from mapreplay.analysis.diagnosis.paragraph import paragraph, what_if
 from mapreplay.analysis.diagnosis.taxonomy import KINDS
+from mapreplay.analysis.reporting.figures import colour, in_the_dark, render
 from mapreplay.analysis.reporting.page import (
     Block,
     Columns,
-    Command,
+    CommandLine,
     Facts,
     Heading,
+    Illustration,
     Items,
     Note,
     Page,
     Paragraph,
-    Picture,
     Table,
 )
+from mapreplay.pictures import png_of
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.pictures.annotations import mark_colours
 from mapreplay.recorders.pictures.layers import MapView
 from mapreplay.recorders.pictures.painter import MapPainter
-from mapreplay.recorders.pictures.palette import DARK, LIGHT, Theme
+from mapreplay.recorders.pictures.palette import GREEN, ORANGE, SKY_BLUE, YELLOW, Theme, hex_of
 from mapreplay.step import Cells, Step
 from mapreplay.text import shell_command
 
@@ -51,7 +54,7 @@ def diagnosis_page(diagnoses: Sequence[tuple[Path, Diagnosis]]) -> str:
         LogError: a log can no longer be read.
     """
     found = [diagnosis for _, diagnosis in diagnoses]
-    claims = corpus_claims(found)
+    reliability = pooled_reliability(found)
     whole = groups(found)[0]
     blocks: list[Block] = []
     if len(found) > 1:
@@ -59,9 +62,9 @@ def diagnosis_page(diagnoses: Sequence[tuple[Path, Diagnosis]]) -> str:
     sealed = [(path, d) for path, d in diagnoses if d.sealings]
     for path, diagnosis in sealed[:MOST]:
         blocks.append(Heading(diagnosis.header.floor_plan.id))
-        blocks.append(Paragraph(paragraph(diagnosis, claims)))
+        blocks.append(Paragraph(paragraph(diagnosis, reliability)))
         if command := what_if(diagnosis, path):
-            blocks.append(Command(shell_command(command)))
+            blocks.append(CommandLine(shell_command(command)))
         blocks += _pictures(path, diagnosis)
     if len(sealed) > MOST:
         left = len(sealed) - MOST
@@ -69,7 +72,7 @@ def diagnosis_page(diagnoses: Sequence[tuple[Path, Diagnosis]]) -> str:
     others = [(path, d) for path, d in diagnoses if not d.sealings]
     if others and len(diagnoses) <= MOST:
         blocks.append(Heading("Never sealed in"))
-        blocks.append(Items([[paragraph(d, claims)] for _, d in others]))
+        blocks.append(Items([[paragraph(d, reliability)] for _, d in others]))
     blocks.append(Heading("What the names mean"))
     blocks.append(Facts([(kind.name.replace("_", " "), kind.rule) for kind in KINDS]))
     lead = (
@@ -92,16 +95,16 @@ def _counts(found: Sequence[Diagnosis]) -> list[Block]:
 def _pictures(path: Path, diagnosis: Diagnosis) -> list[Block]:
     log = EpisodeLog(path)
     table = log.table()
-    painter = MapPainter.of(diagnosis.header)
+    painter = MapPainter(diagnosis.header)
     blocks: list[Block] = []
     for sealing in diagnosis.sealings[:SHOWN]:
         step = log[sealing.first_step]
         walked = table.filter(table["step"] <= step.index).select("row", "col")
         track = walked.to_numpy().astype(np.int32)
         maps = [
-            Picture(
+            Illustration(
                 map_png(painter, view, step, sealing, track),
-                f"{view.heading} map at step {step.index}, the culprits marked",
+                f"{view.heading} map at step {step.index}, the blocking cells marked",
                 f"{view.heading}, step {step.index}",
                 pixelated=True,
             )
@@ -110,19 +113,19 @@ def _pictures(path: Path, diagnosis: Diagnosis) -> list[Block]:
         blocks.append(Columns(maps))
         blocks.append(Paragraph(legend(sealing)))
         if sealing.blame:
+            svg = render(HistoryFigure(diagnosis, sealing), (7.5, 2.4))
             blocks.append(
-                Picture(
-                    history_svg(diagnosis, sealing, LIGHT),
-                    "P(occupied) of each culprit over the steps, with the threshold",
-                    "What the network thought of the culprits; the vertical line is the sealing",
-                    history_svg(diagnosis, sealing, DARK),
+                Illustration(
+                    svg,
+                    "P(occupied) of each blocking cell over the steps, with the threshold",
+                    "P(occupied) of the blocking cells over the steps; vertical line: the sealing",
+                    in_the_dark(svg),
                 )
             )
     return blocks
 
 
-_NAMES: Final = {(240, 228, 66): "yellow", (86, 180, 233): "light blue", (0, 158, 115): "green",
-                 (230, 159, 0): "orange"}  # fmt: skip
+_NAMES: Final = {YELLOW: "yellow", SKY_BLUE: "light blue", GREEN: "green", ORANGE: "orange"}
 
 
 def legend(sealing: Sealing) -> str:
@@ -133,7 +136,7 @@ def legend(sealing: Sealing) -> str:
     said = ", ".join(f"{_NAMES.get(colours[name], 'marked')}: {name}" for name in names)
     return (
         f"Purple: the agent and its trail; {said}; in the error map red: false wall, blue: wall "
-        "taken for free."
+        "predicted free."
     )
 
 
@@ -141,48 +144,36 @@ def map_png(
     painter: MapPainter, view: MapView, step: Step, sealing: Sealing, track: Cells
 ) -> bytes:
     """A map with the marks of a sealing, as PNG."""
-    import cv2
-
-    picture = painter.draw(view, step, _SIDE, _SIDE, track=track, marks=sealing_marks(sealing))
-    done, data = cv2.imencode(".png", picture[..., ::-1])
-    if not done:
-        raise ValueError("the picture could not be encoded")
-    return bytes(data)
+    return png_of(painter.draw(view, step, _SIDE, _SIDE, track=track, marks=sealing_marks(sealing)))
 
 
-def history_svg(diagnosis: Diagnosis, sealing: Sealing, theme: Theme) -> bytes:
-    """P(occupied) of each culprit over the steps, as SVG in the colours of `theme`."""
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
+@dataclass(frozen=True, eq=False)
+class HistoryFigure:
+    """P(occupied) of each blocking cell over the steps."""
 
-    def rgb(colour: tuple[int, int, int]) -> tuple[float, float, float]:
-        return colour[0] / 255, colour[1] / 255, colour[2] / 255
+    diagnosis: Diagnosis
+    sealing: Sealing
 
-    with mpl.rc_context({"svg.hashsalt": "mapreplay", "svg.fonttype": "none"}):
-        figure = Figure(figsize=(7.5, 2.4), layout="constrained", facecolor="none")
+    def __call__(self, figure: Figure, theme: Theme) -> None:
+        """See `figures.Draw`."""
+        ink, faint, first = hex_of(theme.ink), hex_of(theme.faint), self.sealing.first_step
         axes = figure.subplots()
-        axes.set_facecolor("none")
-        for blame in sealing.blame:
-            steps = np.arange(len(blame.history))
+        for number, blame in enumerate(self.sealing.blame):
+            line, seen = colour(number, theme), blame.seen_at
             name = f"({blame.cell.row}, {blame.cell.col})"
-            axes.plot(steps, blame.history, drawstyle="steps-post", label=name)
-            seen = blame.seen_at
+            axes.plot(blame.history, color=line, drawstyle="steps-post", label=name)
             if seen is not None:
-                axes.plot([seen], [blame.history[seen]], "o", color=rgb(theme.ink))
-        high = float(diagnosis.header.at(sealing.first_step).thresholds.occupied_at_least)
-        axes.axhline(high, color=rgb(theme.faint), linestyle=":", linewidth=1)
-        said = "taken for a wall above"
-        axes.annotate(said, (0, high), color=rgb(theme.faint), fontsize=8, va="bottom")
-        axes.axvline(sealing.first_step, color=rgb(theme.ink), linewidth=1)
-        axes.set_xlabel("step", color=rgb(theme.ink))
-        axes.set_ylabel("P(occupied)", color=rgb(theme.ink))
+                axes.plot([seen], [blame.history[seen]], "o", color=ink)
+        high = float(self.diagnosis.header.at(first).thresholds.occupied_at_least)
+        axes.axhline(high, color=faint, linestyle=":", linewidth=1)
+        axes.annotate(
+            "predicted wall above this line", (0, high), color=faint, fontsize=8, va="bottom"
+        )
+        axes.axvline(first, color=ink, linewidth=1)
+        axes.set_xlabel("step")
+        axes.set_ylabel("P(occupied)")
         axes.set_ylim(-0.03, 1.06)
-        axes.set_xlim(0, max(1, len(sealing.blame[0].history) - 1))
-        axes.tick_params(colors=rgb(theme.faint))
-        for side in axes.spines.values():
-            side.set_color(rgb(theme.line))
-        if len(sealing.blame) > 1:
-            axes.legend(frameon=False, labelcolor=rgb(theme.ink), fontsize=8)
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
-        return buffer.getvalue()
+        axes.set_xlim(0, max(1, len(self.sealing.blame[0].history) - 1))
+        axes.grid(visible=False)
+        if len(self.sealing.blame) > 1:
+            axes.legend(fontsize=8)

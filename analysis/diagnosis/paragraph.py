@@ -1,4 +1,4 @@
-"""A diagnosis in words: one paragraph an episode, one line if there is nothing to explain."""
+"""A diagnosis in words: a paragraph per episode, a line if there is nothing to explain."""
 
 from __future__ import annotations
 
@@ -6,37 +6,37 @@ from collections import Counter
 from pathlib import PurePath
 from typing import Final
 
-from mapreplay.analysis.diagnosis.claims import Claims
 from mapreplay.analysis.diagnosis.detect import Ending, NearMissKind
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, Sealing
 from mapreplay.analysis.diagnosis.harms import HarmKind
+from mapreplay.analysis.diagnosis.reliability import Reliability
 from mapreplay.analysis.diagnosis.taxonomy import words
 from mapreplay.analysis.reporting.wording import counted, share
 
 TOLD: Final = 3
-"""Sealings of an episode that are told in full."""
+"""Sealings of an episode that are described in full."""
 
 _ENDINGS: Final = {
     Ending.FINAL: "for good",
-    Ending.SEEN: "and got out after {moves} by what it saw",
-    Ending.PREDICTION: "and got out after {moves} because the prediction changed",
+    Ending.SEEN: "and was freed after {moves} by new observations",
+    Ending.PREDICTION: "and was freed after {moves} by a changed prediction",
     Ending.MAPPED: "until the target was reached {moves} later",
     Ending.OUT_OF_STEPS: "until it ran out of steps {moves} later",
     Ending.UNFINISHED: "up to the end of the log, {moves} later",
 }
 _HARMS: Final = {
-    HarmKind.PHANTOM_FRONTIER: "going for frontiers that did not exist",
+    HarmKind.PHANTOM_FRONTIER: "heading for frontiers that did not exist",
     HarmKind.PHANTOM_PASSAGE: "planning through walls that were predicted free",
-    HarmKind.OSCILLATION: "going to and fro between targets",
+    HarmKind.OSCILLATION: "going back and forth between targets",
 }
 
 
-def paragraph(diagnosis: Diagnosis, claims: Claims | None = None) -> str:
+def paragraph(diagnosis: Diagnosis, reliability: Reliability | None = None) -> str:
     """The diagnosis of one log in words.
 
     Args:
         diagnosis: Of the log.
-        claims: Of the corpus that it is part of; by default its own.
+        reliability: Of the corpus that it is part of; by default its own.
     """
     config = diagnosis.header.config
     opening = (
@@ -49,17 +49,17 @@ def paragraph(diagnosis: Diagnosis, claims: Claims | None = None) -> str:
         sentences.append(f"{opening} was never sealed in: {_outcome(diagnosis)}.")
     for number, sealing in enumerate(diagnosis.sealings[:TOLD]):
         who = f"{opening} was" if number == 0 else "It was"
-        sentences += _sealing(who, sealing, claims or diagnosis.claims)
+        sentences += _sealing(who, sealing, reliability or diagnosis.reliability)
     if diagnosis.sealings:
         sentences += _rest(diagnosis)
         sentences.append(f"{_outcome(diagnosis).capitalize()}.")
-    sentences += _beside(diagnosis)
+    sentences += _other_harms(diagnosis)
     sentences += [f"{note[:1].upper()}{note[1:]}." for note in diagnosis.notes]
     return " ".join(sentences)
 
 
 def what_if(diagnosis: Diagnosis, log: PurePath) -> list[str | PurePath] | None:
-    """The command that shows how it would have gone on with the truth; None if there is none.
+    """The command that continues the episode with the ground truth; None if there is none.
 
     Args:
         diagnosis: Of the log.
@@ -78,43 +78,47 @@ def _outcome(diagnosis: Diagnosis) -> str:
     return f"the episode ended {diagnosis.outcome.replace('_', ' ')} after {counted(moves, 'step')}"
 
 
-def _sealing(who: str, sealing: Sealing, claims: Claims) -> list[str]:
+def _sealing(who: str, sealing: Sealing, reliability: Reliability) -> list[str]:
     ending = _ENDINGS[sealing.ending].format(moves=counted(sealing.moves, "move"))
     covered = (
         "" if sealing.coverage != sealing.coverage else f", with {share(sealing.coverage)} covered"
     )
     said = [f"{who} sealed in at step {sealing.first_step}{covered}, {ending}."]
-    culprits, doorway = sealing.culprits, sealing.doorway
-    if culprits is None:
+    blocking, opening = sealing.blocking, sealing.opening
+    if blocking is None:
         return said
-    count = len(culprits.cells)
-    place = f" {words(sealing.kind)}" if sealing.kind != "unclassified" else " Unclassified."
-    said[0] += place
-    any_of = "" if culprits.unique else f", out of {len(culprits.tied)} that would do"
-    exits = f" in {culprits.exits} places" if culprits.exits > 1 else ""
-    where = ", ".join(f"({row}, {col})" for row, col in culprits.cells.tolist()[:4])
+    count = len(blocking.cells)
+    what = f" {words(sealing.kind)}" if sealing.kind != "unclassified" else " Unclassified."
+    said[0] += what
+    chosen = "" if blocking.unique else f", chosen from {len(blocking.tied)} equivalent cells"
+    exits = f" in {blocking.exits} places" if blocking.exits > 1 else ""
+    where = ", ".join(f"({row}, {col})" for row, col in blocking.cells.tolist()[:4])
     more = f" and {count - 4} more" if count > 4 else ""
     unseen = counted(sealing.hidden, "explorable cell")
     were = "was" if sealing.hidden == 1 else "were"
     said.append(
         f"It could still reach {counted(sealing.inside, 'cell')}, and {unseen} {were} hidden "
-        f"from it by {counted(count, 'false wall')} at {where}{more}{any_of}{exits}."
+        f"from it by {counted(count, 'false wall')} at {where}{more}{chosen}{exits}."
     )
-    if doorway is not None:
-        parts = f" in {doorway.parts} parts" if doorway.parts > 1 else ""
-        said.append(f"The doorway there is {counted(doorway.width, 'cell')} wide{parts}.")
-    said += _blame(sealing, claims)
+    if opening is not None:
+        parts = f" in {opening.parts} parts" if opening.parts > 1 else ""
+        said.append(f"The opening there is {counted(opening.width, 'cell')} wide{parts}.")
+    said += _blame(sealing, reliability)
     said += _remedy(sealing)
     return said
 
 
-def _blame(sealing: Sealing, claims: Claims) -> list[str]:
+def _blame(sealing: Sealing, reliability: Reliability) -> list[str]:
     if not sealing.blame:
         return []
     blame = sealing.blame[0]
     which = "It" if len(sealing.blame) == 1 else "The first"
-    right, count = claims.right(blame.p_wall)
-    how_often = f" (such claims are right {share(right)} of the time, n = {count})" if count else ""
+    right, count = reliability.right(blame.p_wall)
+    how_often = (
+        f" (predictions this confident are right {share(right)} of the time, n = {count})"
+        if count
+        else ""
+    )
     distance = (
         ""
         if blame.distance is None
@@ -125,10 +129,11 @@ def _blame(sealing: Sealing, claims: Claims) -> list[str]:
         "been observed around it"
     )
     flicker = f" It had flickered {_times(blame.flickers)}." if blame.flickers else ""
-    seen = "was never seen" if blame.seen_at is None else f"was seen at step {blame.seen_at}"
+    seen = "never observed" if blame.seen_at is None else f"observed at step {blame.seen_at}"
     history = (
-        f"{which} was taken for a wall since step {blame.since}{distance}, where {evidence}, with "
-        f"P = {blame.p_wall:.3f} at the sealing{how_often}; it {seen}.{flicker}"
+        f"{which} was predicted to be a wall since step {blame.since}{distance}, where "
+        f"{evidence}, with P = {blame.p_wall:.3f} at the sealing{how_often}; it was {seen}."
+        f"{flicker}"
     )
     return [history]
 
@@ -147,12 +152,12 @@ def _remedy(sealing: Sealing) -> list[str]:
         said.append(f"Open loop, {' or '.join(thresholds)} would have prevented it at this step.")
     else:
         said.append("No threshold would have prevented it at this step.")
-    view = remedy.view
-    if view is not None:
-        enough = "and let it out" if view.suffices else "which is not enough to let it out"
+    viewpoint = remedy.viewpoint
+    if viewpoint is not None:
+        enough = "and freed it" if viewpoint.suffices else "which is not enough to free it"
         said.append(
-            f"{counted(view.moves, 'move')} to ({view.cell.row}, {view.cell.col}) would have shown "
-            f"{counted(view.sees, 'false wall')}, {enough}."
+            f"{counted(viewpoint.moves, 'move')} to ({viewpoint.cell.row}, {viewpoint.cell.col}) "
+            f"would have shown {counted(viewpoint.sees, 'false wall')}, {enough}."
         )
     if remedy.fail_safe_moves is not None and sealing.ending is Ending.FINAL:
         said.append(f"The fail-safe would have cost {counted(remedy.fail_safe_moves, 'move')}.")
@@ -164,11 +169,11 @@ def _rest(diagnosis: Diagnosis) -> list[str]:
     if count == 1:
         return []
     moves = sum(sealing.moves for sealing in diagnosis.sealings)
-    more = f", {count - TOLD} more than told here" if count > TOLD else ""
-    return [f"Sealed in {_times(count)} in all{more}, for {counted(moves, 'move')} together."]
+    more = f", {count - TOLD} more than described here" if count > TOLD else ""
+    return [f"Sealed in {_times(count)}{more}, for {counted(moves, 'move')} in total."]
 
 
-def _beside(diagnosis: Diagnosis) -> list[str]:
+def _other_harms(diagnosis: Diagnosis) -> list[str]:
     """Near misses and the other ways in which the prediction hurt."""
     said = []
     near = [miss for miss in diagnosis.near_misses if not miss.led_to_sealing]
@@ -178,7 +183,8 @@ def _beside(diagnosis: Diagnosis) -> list[str]:
         if kinds[NearMissKind.ONE_CELL]:
             parts.append(f"{_times(kinds[NearMissKind.ONE_CELL])} one cell was left open")
         if kinds[NearMissKind.CLOSING]:
-            parts.append(f"{_times(kinds[NearMissKind.CLOSING])} the way out closed just behind it")
+            closed = _times(kinds[NearMissKind.CLOSING])
+            parts.append(f"{closed} one of the next predictions closed the way out")
         said.append(f"Near misses: {', '.join(parts)}.")
     for kind, text in _HARMS.items():
         moves = sum(harm.moves for harm in diagnosis.harms if harm.kind is kind)
@@ -191,8 +197,8 @@ def _beside(diagnosis: Diagnosis) -> list[str]:
             counted(coverage.false_free, "wall"),
         )
         said.append(
-            f"Of the {share(coverage.claimed)} claimed at the end only "
-            f"{share(coverage.correct)} is right ({walls}, {free} taken for free)."
+            f"Of the {share(coverage.claimed)} covered at the end only "
+            f"{share(coverage.correct)} is correct ({walls}, {free} predicted free)."
         )
     return said
 

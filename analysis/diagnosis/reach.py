@@ -1,4 +1,4 @@
-"""What the agent believes that it can reach, and what it truly could."""
+"""What the agent believes it can reach, and what it could truly reach."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from mapreplay.floorplan import explorable
 from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid, Mask
 
 EIGHT = np.ones((3, 3), np.bool_)
-"""The neighbourhood of all that moves and touches here."""
+"""The neighbourhood of moves and of adjacency."""
 
 
 class Scratch:
-    """Memory for the searches on maps of one shape, so that they need not clear it."""
+    """Buffers for searches on maps of one shape, which need not be cleared."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self._seen = np.zeros(shape, np.int32)
@@ -77,6 +77,6 @@ def false_walls(truth: Grid, observed: Grid, fused: Grid) -> Mask:
     return mask
 
 
-def set_right(fused: Grid, cells: Mask, truth: Grid) -> Grid:
-    """`fused` with `cells` (bool[H, W]) as they truly are."""
+def corrected(fused: Grid, cells: Mask, truth: Grid) -> Grid:
+    """`fused` with `cells` (bool[H, W]) corrected with the ground truth."""
     return np.where(cells, truth, fused)

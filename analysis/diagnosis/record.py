@@ -1,4 +1,7 @@
-"""A diagnosis as JSON: what lies beside a log as ``x.diagnosis.json``, and goes to programs."""
+"""A diagnosis as JSON: saved next to a log as ``x.diagnosis.json``, and printed for programs.
+
+The keys are those of the format; some are older than the names in the code.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +11,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from mapreplay.analysis.diagnosis.blame import Blame
-from mapreplay.analysis.diagnosis.claims import Claims
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, Sealing
+from mapreplay.analysis.diagnosis.reliability import Reliability
 from mapreplay.errors import ExistsError
 from mapreplay.files import cannot_write, check_new, write_whole
 from mapreplay.step import Cells
@@ -19,13 +22,13 @@ SUFFIX: Final = ".diagnosis.json"
 _DIGITS: Final = 6
 
 
-def record_of(diagnosis: Diagnosis, claims: Claims | None = None) -> dict[str, Any]:
+def record_of(diagnosis: Diagnosis, reliability: Reliability | None = None) -> dict[str, Any]:
     """Everything that was found, as plain values; cells are ``[row, col]``, undefined is null.
 
-    `claims` are those of the corpus that the log was diagnosed in; by default its own.
+    `reliability` is that of the corpus that the log was diagnosed in; by default its own.
     """
     config, header = diagnosis.header.config, diagnosis.header
-    base = claims or diagnosis.claims
+    base = reliability or diagnosis.reliability
     coverage = diagnosis.coverage
     return {
         "schema": SCHEMA,
@@ -75,9 +78,9 @@ def record_of(diagnosis: Diagnosis, claims: Claims | None = None) -> dict[str, A
     }
 
 
-def _sealing(sealing: Sealing, claims: Claims) -> dict[str, Any]:
-    culprits, doorway, place = sealing.culprits, sealing.doorway, sealing.place
-    remedy, view = sealing.remedy, sealing.remedy.view
+def _sealing(sealing: Sealing, reliability: Reliability) -> dict[str, Any]:
+    blocking, opening, passage = sealing.blocking, sealing.opening, sealing.passage
+    remedy, viewpoint = sealing.remedy, sealing.remedy.viewpoint
     return {
         "kind": sealing.kind,
         "first_step": sealing.first_step,
@@ -90,49 +93,49 @@ def _sealing(sealing: Sealing, claims: Claims) -> dict[str, Any]:
         "correct_coverage": _real(sealing.correct_coverage),
         "inside": sealing.inside,
         "hidden": sealing.hidden,
-        "culprits": culprits
+        "culprits": blocking
         and {
-            "cells": _cells(culprits.cells),
-            "tied": _cells(culprits.tied),
-            "unique": culprits.unique,
-            "exits": culprits.exits,
-            "way": _cells(culprits.way),
+            "cells": _cells(blocking.cells),
+            "tied": _cells(blocking.tied),
+            "unique": blocking.unique,
+            "exits": blocking.exits,
+            "way": _cells(blocking.way),
         },
-        "doorway": doorway
+        "doorway": opening
         and {
-            "cells": _cells(doorway.cells),
-            "width": doorway.width,
-            "parts": doorway.parts,
-            "unique": doorway.unique,
+            "cells": _cells(opening.cells),
+            "width": opening.width,
+            "parts": opening.parts,
+            "unique": opening.unique,
         },
-        "place": place
+        "place": passage
         and {
-            "gap": place.gap,
-            "length": place.length,
-            "false_wall": place.false_wall,
-            "span": place.span,
-            "thickness": place.thickness,
-            "distance": _real(place.distance),
+            "gap": passage.gap,
+            "length": passage.length,
+            "false_wall": passage.false_wall,
+            "span": passage.span,
+            "thickness": passage.thickness,
+            "distance": _real(passage.distance),
         },
-        "blame": [_blame(blame, claims) for blame in sealing.blame],
+        "blame": [_blame(blame, reliability) for blame in sealing.blame],
         "remedy": {
             "delta_occupied_above": _real(remedy.delta_occupied_above),
             "delta_free_above": _real(remedy.delta_free_above),
-            "view": view
+            "view": viewpoint
             and {
-                "cell": list(view.cell),
-                "moves": view.moves,
-                "metres": _real(view.metres),
-                "sees": view.sees,
-                "suffices": view.suffices,
+                "cell": list(viewpoint.cell),
+                "moves": viewpoint.moves,
+                "metres": _real(viewpoint.metres),
+                "sees": viewpoint.sees,
+                "suffices": viewpoint.suffices,
             },
             "fail_safe_moves": remedy.fail_safe_moves,
         },
     }
 
 
-def _blame(blame: Blame, claims: Claims) -> dict[str, Any]:
-    right, count = claims.right(blame.p_wall)
+def _blame(blame: Blame, reliability: Reliability) -> dict[str, Any]:
+    right, count = reliability.right(blame.p_wall)
     return {
         "cell": list(blame.cell),
         "p_wall": _real(blame.p_wall),
@@ -161,7 +164,7 @@ def _real(value: float | None) -> float | None:
 
 
 def to_json(records: dict[str, Any]) -> bytes:
-    """As text, one line a list of cells, so that people can read it too."""
+    """As text, with a list of cells per line, so that people can read it too."""
     return (_dump(records, 0) + "\n").encode()
 
 
@@ -179,12 +182,12 @@ def _dump(value: Any, depth: int) -> str:
 
 
 def diagnosis_path(log: Path) -> Path:
-    """``x.diagnosis.json`` beside ``x.mcap`` or ``x.mcap.part``."""
+    """``x.diagnosis.json`` next to ``x.mcap`` or ``x.mcap.part``."""
     return log.with_name(log.name.removesuffix(".part").removesuffix(".mcap") + SUFFIX)
 
 
-def save_beside(log: Path, record: dict[str, Any]) -> Path:
-    """Write the diagnosis of `log` beside it; an older diagnosis is replaced.
+def save_next_to(log: Path, record: dict[str, Any]) -> Path:
+    """Write the diagnosis of `log` next to it; an older diagnosis is replaced.
 
     Raises:
         ExistsError: what is there is no diagnosis.

@@ -1,4 +1,4 @@
-"""What would have helped: other thresholds, one more view, the fail-safe."""
+"""What would have helped: other thresholds, an informative viewpoint, the fail-safe."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from mapreplay.analysis.diagnosis.culprits import Culprits, as_mask
+from mapreplay.analysis.diagnosis.blocking import BlockingCells, as_mask
 from mapreplay.analysis.diagnosis.detect import Span
-from mapreplay.analysis.diagnosis.kernels import first_view
+from mapreplay.analysis.diagnosis.kernels import first_viewpoint
 from mapreplay.analysis.diagnosis.reach import Scratch, grown
 from mapreplay.episode import Episode, run_episode
 from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid, Mask, Quantized
@@ -22,18 +22,17 @@ from mapreplay.step import EpisodeHeader, PredictorIdentity, Step
 
 
 @dataclass(frozen=True, eq=False)
-class View:
-    """The cheapest view that would have seen a culprit."""
+class Viewpoint:
+    """The nearest cell from which a blocking cell would have been observed."""
 
     cell: Cell
-    """Where from."""
     moves: int
     """To get there, over cells that the agent believes to be free and that are."""
     metres: float
     sees: int
-    """How many false walls of some smallest set it shows to be free."""
+    """How many false walls of a smallest set are seen to be free from there."""
     suffices: bool
-    """Whether the agent then has a way out, if the prediction stays as it was."""
+    """Whether the agent then has a way out, with the prediction unchanged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,15 +40,15 @@ class Remedy:
     """What would have prevented or undone a sealing; None where it would not have helped."""
 
     delta_occupied_above: float | None
-    """With any higher threshold of walls it would not have been sealed in at this step (open
-    loop: the steps before stay as they were)."""
+    """With any higher confidence threshold for occupied cells it would not have been sealed in at
+    this step (open loop: the steps before stay as they were)."""
     delta_free_above: float | None
-    """The same of the threshold of free space."""
-    view: View | None
+    """The same for free cells."""
+    viewpoint: Viewpoint | None
     fail_safe_moves: int | None
     """Moves that the fail-safe makes until there is a frontier again, with the same planner
-    and the prediction as it was at this step (so an upper estimate; `branch` runs it for
-    real). None if that never happens, or cannot be tried."""
+    and the prediction of this step (an upper estimate; `branch` runs it with the network). None
+    if that never happens, or cannot be tried."""
 
 
 def threshold_of_walls(
@@ -58,7 +57,7 @@ def threshold_of_walls(
     """The delta_occupied above which the agent would not have been sealed in at this step.
 
     A higher threshold makes the least certain predicted walls unknown first; there is a
-    frontier as soon as one of those that touch what the agent can reach (`inside`, bool[H, W])
+    frontier as soon as one of those adjacent to what the agent can reach (`inside`, bool[H, W])
     is among them. With p that one's probability, that is where (1 + delta) / 2 > p.
 
     Returns:
@@ -88,33 +87,33 @@ def threshold_of_free(observed: Grid, fused: Grid, p_wall: Quantized, inside: Ma
     return max(delta, 0.0) if delta < 1 else None
 
 
-def cheapest_view(
+def informative_viewpoint(
     truth: Grid,
     step: Step,
     inside: Mask,
-    culprits: Culprits,
+    blocking: BlockingCells,
     sensor: Sensor,
     resolution: float,
     scratch: Scratch,
-) -> View | None:
-    """The nearest cell of `inside` from which the sensor would have seen a culprit.
+) -> Viewpoint | None:
+    """The nearest cell of `inside` from which the sensor would have seen a blocking cell.
 
     `inside` (bool[H, W]) are the truly free cells that the agent can get to. Any false wall
-    that is in a smallest set counts as a culprit. Of two views of one cost, the first by row
+    that is in a smallest set counts as a blocking cell. Of two cells at one cost, the first by row
     and column.
     """
     ground = np.where(inside, np.int8(FREE), np.int8(OCCUPIED))
     paths = shortest_paths(ground, step.agent)
     cells = np.argwhere(paths.straight >= 0).astype(np.int32)
     cells = cells[np.argsort(paths.costs(cells), kind="stable")]
-    wanted = as_mask(culprits.tied, truth.shape)
-    number = int(first_view(truth, cells, sensor.offsets, wanted))
+    wanted = as_mask(blocking.tied, truth.shape)
+    number = int(first_viewpoint(truth, cells, sensor.offsets, wanted))
     if number < 0:
         return None
     cell = Cell(*cells[number].tolist())
     straight, diagonal = int(paths.straight[cell]), int(paths.diagonal[cell])
     seen = accumulate(step.observed, cell, sense(truth, cell, sensor), sensor)
-    return View(
+    return Viewpoint(
         cell=cell,
         moves=straight + diagonal,
         metres=(straight + diagonal * SQRT2) * resolution,
@@ -140,8 +139,8 @@ def fail_safe_moves(
 ) -> int | None:
     """Moves that the fail-safe would make until the agent has a frontier again.
 
-    The episode is run on from the sealing with the fail-safe and with the prediction of that
-    step, so that only what is seen lets it out. None if it runs out of steps.
+    The episode is continued from the sealing with the fail-safe and with the prediction of that
+    step, so that only observations free it. None if it runs out of steps.
 
     Args:
         header: Of the step.

@@ -8,8 +8,8 @@ import polars as pl
 
 from mapreplay.analysis.diagnosis import corpus
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis
-from mapreplay.analysis.reporting.wording import share, with_interval
-from mapreplay.analysis.stats.estimates import Estimate, Proportion
+from mapreplay.analysis.reporting.wording import UNDEFINED, interval, share, with_interval
+from mapreplay.analysis.stats.estimates import Proportion
 
 
 def groups_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
@@ -21,7 +21,7 @@ def groups_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
                 "n": row.episodes,
                 "in": row.sealed.count,
                 "share": share(row.sealed.share),
-                "95 %": interval(row.sealed),
+                "95 %": _percent_interval(row.sealed),
                 "for good": row.final,
                 "times": row.sealings,
                 "moves": row.moves,
@@ -41,12 +41,12 @@ def kinds_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
                 "n": row.sealings,
                 "share": share(row.share.share),
                 "cover": row.coverage,
-                "walls": count(row.culprits),
-                "door": count(row.doorway),
+                "walls": _median(row.blocking),
+                "door": _median(row.opening),
                 "P": row.p_wall,
                 "delta>": row.threshold,
-                "view": count(row.view),
-                "fail-safe": count(row.fail_safe),
+                "view": _median(row.viewpoint),
+                "fail-safe": _median(row.fail_safe),
             }
             for row in corpus.kind_counts(diagnoses)
         ]
@@ -60,8 +60,8 @@ def endings_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
             {
                 "ended by": ending.replace("_", " "),
                 "sealings": times,
-                "median moves": count(median),
-                "most": count(most),
+                "median moves": _median(median),
+                "most": _median(most),
             }
             for ending, (times, median, most) in corpus.endings(diagnoses).items()
         ]
@@ -69,51 +69,51 @@ def endings_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
 
 
 def costs_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
-    """What it cost to get out again."""
+    """What it cost to be freed."""
     return pl.DataFrame(
         [
             {
-                "let out again": row.by if row.by == "all" else f"{row.by} {row.value}",
+                "freed": row.by if row.by == "all" else f"{row.by} {row.value}",
                 "n": row.episodes,
                 "times": row.times,
-                "moves": mean(row.moves, 0),
-                "metres": mean(row.metres, 1),
-                "% of moves": mean(row.share, 0, 100),
+                "moves": with_interval(row.moves, 0),
+                "metres": with_interval(row.metres, 1),
+                "% of moves": with_interval(row.share, 0, 100),
             }
             for row in corpus.costs(diagnoses)
         ]
     )
 
 
-def places_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
-    """Where culprits lie, and where agents are."""
+def passages_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
+    """Where blocking cells lie, and where agents are."""
     return pl.DataFrame(
         [
             {
                 "place": row.feature,
                 "sealings": row.sealings.count,
                 "share": share(row.sealings.share),
-                "95 %": interval(row.sealings),
+                "95 %": _percent_interval(row.sealings),
                 "share of all steps": share(row.steps),
             }
-            for row in corpus.attractions(diagnoses)
+            for row in corpus.passage_shares(diagnoses)
             if row.sealings.of
         ]
     )
 
 
-def calibration_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
-    """How sure the network was of what sealed."""
+def reliability_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
+    """How confident the network was of walls that sealed."""
     return pl.DataFrame(
         [
             {
                 "P(occupied)": f"{row.low:g} to {row.high:g}",
-                "predicted cells": row.claims,
+                "predicted cells": row.cells,
                 "truly walls": share(row.right),
-                "first culprits": row.sealed,
+                "first blocking cells": row.sealed,
             }
-            for row in corpus.calibration(diagnoses)
-            if row.claims or row.sealed
+            for row in corpus.reliability_bins(diagnoses)
+            if row.cells or row.sealed
         ]
     )
 
@@ -126,7 +126,7 @@ def harms_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
                 "what": row.kind,
                 "episodes": row.episodes.count,
                 "share": share(row.episodes.share),
-                "95 %": interval(row.episodes),
+                "95 %": _percent_interval(row.episodes),
                 "times": row.times,
                 "moves": row.moves,
             }
@@ -135,20 +135,13 @@ def harms_table(diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
     )
 
 
-def interval(rate: Proportion) -> str:
-    """Its 95 % interval, in percent."""
-    return "-" if rate.low != rate.low else f"{100 * rate.low:.1f} to {100 * rate.high:.1f}"
+def _percent_interval(share: Proportion) -> str:
+    return interval(share.low, share.high, factor=100)
 
 
-def mean(estimate: Estimate, digits: int, scale: float = 1) -> str:
-    """With its 95 % interval: ``10 (8 to 13)``."""
-    mean, low, high = (scale * v for v in (estimate.mean, estimate.low, estimate.high))
-    return with_interval(Estimate(mean, low, high, estimate.plans), digits)
-
-
-def count(value: float) -> str:
-    """A median of whole numbers."""
-    return "-" if value != value else f"{value:g}"
+def _median(value: float) -> str:
+    """A median of whole numbers: ``2``, ``2.5``."""
+    return UNDEFINED if value != value else f"{value:g}"
 
 
 def all_tables(diagnoses: Sequence[Diagnosis]) -> list[tuple[str, pl.DataFrame]]:
@@ -157,14 +150,14 @@ def all_tables(diagnoses: Sequence[Diagnosis]) -> list[tuple[str, pl.DataFrame]]
         ("Sealed in", groups_table(diagnoses)),
         ("Why, and what would have helped (medians)", kinds_table(diagnoses)),
         ("How it ended", endings_table(diagnoses)),
-        ("At which cost: means of an episode, with 95 % intervals", costs_table(diagnoses)),
+        ("Cost of being freed: means per episode, with 95 % intervals", costs_table(diagnoses)),
         (
-            "Where: true width of the passage, beside where the agents walked",
-            places_table(diagnoses),
+            "Where: true width of the passage, compared with where the agents were",
+            passages_table(diagnoses),
         ),
         (
-            "How sure: predicted walls that sealed, and all predictions",
-            calibration_table(diagnoses),
+            "How confident: predicted walls that sealed, and all predictions",
+            reliability_table(diagnoses),
         ),
-        ("Otherwise", harms_table(diagnoses)),
+        ("Other harm", harms_table(diagnoses)),
     ]

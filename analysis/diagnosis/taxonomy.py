@@ -1,4 +1,4 @@
-"""Names for what sealed an agent in, each with a rule that can be read.
+"""Names for what sealed an agent in, each with a readable rule.
 
 The rules were made by looking at sealings on validation plans (procedural 50000 to 50999, and the
 1,000 training houses with the smallest SHA-256 of their id), and are reported on test plans.
@@ -12,21 +12,21 @@ from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from mapreplay.analysis.diagnosis.diagnosis import Sealing
-    from mapreplay.analysis.diagnosis.places import Surroundings
+    from mapreplay.analysis.diagnosis.passage import Passage
 
 UNCLASSIFIED: Final = "unclassified"
 DOOR_WIDTH: Final = 6
 """Cells; at 0.2 m a cell, 1.2 m."""
 DOOR_LENGTH: Final = 4
-"""Cells that one walks through a door at most."""
+"""Cells: the length of a door at most."""
 CORRIDOR_WIDTH: Final = 10
 """Cells."""
 NOOK: Final = 12
-"""Hidden cells that are no more than a corner."""
+"""Hidden cells, at most, of a corner."""
 
 
 @dataclass(frozen=True)
-class Kind:
+class SealingKind:
     """A name and its rule; the first kind whose rule holds is taken."""
 
     name: str
@@ -34,63 +34,63 @@ class Kind:
     """What happened, for a paragraph."""
     rule: str
     """In words."""
-    holds: Callable[[Sealing, Surroundings], bool]
+    holds: Callable[[Sealing, Passage], bool]
 
 
-def _is_nook(sealing: Sealing, place: Surroundings) -> bool:  # noqa: ARG001
+def _is_nook(sealing: Sealing, passage: Passage) -> bool:  # noqa: ARG001
     return sealing.hidden <= NOOK
 
 
-def _is_door(place: Surroundings) -> bool:
-    return place.gap <= DOOR_WIDTH and place.length <= DOOR_LENGTH
+def _is_door(passage: Passage) -> bool:
+    return passage.gap <= DOOR_WIDTH and passage.length <= DOOR_LENGTH
 
 
-def _are_doors(sealing: Sealing, place: Surroundings) -> bool:
-    return _is_door(place) and sealing.doorway is not None and sealing.doorway.parts > 1
+def _are_doors(sealing: Sealing, passage: Passage) -> bool:
+    return _is_door(passage) and sealing.opening is not None and sealing.opening.parts > 1
 
 
-KINDS: Final[tuple[Kind, ...]] = (
-    Kind(
+KINDS: Final[tuple[SealingKind, ...]] = (
+    SealingKind(
         "corner_leak",
         "Only the last corner was left, and it was closed.",
         f"at most {NOOK} explorable cells are hidden",
         _is_nook,
     ),
-    Kind(
+    SealingKind(
         "closed_doors",
         "All of several doors were predicted shut.",
-        "as a closed door, and the doorway has several parts",
+        "as a closed door, and the opening has several parts",
         _are_doors,
     ),
-    Kind(
+    SealingKind(
         "closed_door",
         "A door was predicted shut.",
-        f"the passage at the first culprit is at most {DOOR_WIDTH} cells wide and "
+        f"the passage at the first blocking cell is at most {DOOR_WIDTH} cells wide and "
         f"{DOOR_LENGTH} long",
-        lambda _, place: _is_door(place),
+        lambda _, passage: _is_door(passage),
     ),
-    Kind(
+    SealingKind(
         "corridor_cut",
         "A corridor was predicted to end.",
-        f"the passage at the first culprit is at most {CORRIDOR_WIDTH} cells wide and longer than "
-        "it is wide",
-        lambda _, place: place.gap <= CORRIDOR_WIDTH and place.length > place.gap,
+        f"the passage at the first blocking cell is at most {CORRIDOR_WIDTH} cells wide and longer "
+        "than it is wide",
+        lambda _, passage: passage.gap <= CORRIDOR_WIDTH and passage.length > passage.gap,
     ),
-    Kind(
+    SealingKind(
         "phantom_wall",
         "A wall was predicted across open space.",
         "wider than that, and the false wall is at least half as long as the passage is wide",
-        lambda _, place: 2 * place.span >= place.gap,
+        lambda _, passage: 2 * passage.span >= passage.gap,
     ),
 )
 
 
 def classified(sealing: Sealing) -> Sealing:
     """`sealing` with its kind."""
-    place = sealing.place
-    if place is None:
+    passage = sealing.passage
+    if passage is None:
         return sealing
-    kind = next((kind.name for kind in KINDS if kind.holds(sealing, place)), UNCLASSIFIED)
+    kind = next((kind.name for kind in KINDS if kind.holds(sealing, passage)), UNCLASSIFIED)
     return replace(sealing, kind=kind)
 
 

@@ -235,7 +235,7 @@ def _distance_panel(axes: Axes, data: CurveData, total: PredictionCounts) -> Non
 
 def example_figure(example: Example) -> Figure:
     """Observed, predicted, fused and true map at the end of an episode, with the way there."""
-    painter = MapPainter.of(example.log.header)
+    painter = MapPainter(example.log.header)
     step = replace(example.last, frontier=np.empty((0, 2), np.int32))  # nobody goes there any more
     titles = {
         MapView.OBSERVED: f"observed: {100 * example.exposure_observed:.0f} % exposed",

@@ -1,4 +1,4 @@
-"""What was found out about a floor plan is kept: it depends on nothing but its key."""
+"""Numbers of floor plans are kept between runs: they depend only on their key."""
 
 from __future__ import annotations
 

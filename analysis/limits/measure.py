@@ -1,4 +1,4 @@
-"""The limits of floor plans: how fast the baseline is, one who knows the plan, and who may be."""
+"""Limits of floor plans: the baseline, an oracle planner that knows the plan, a lower bound."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ from mapreplay.sensor import Sensor
 
 
 class Limit(StrEnum):
-    """What is said of a floor plan and what counts as known."""
+    """A mapping time of a floor plan."""
 
     NEAREST = "nearest"
-    """Mapping time of Nearest Frontier on observed/observed, which knows nothing."""
+    """That of Nearest Frontier on observed/observed, which knows nothing."""
     TOUR = "tour"
-    """Of a short tour of a planner that knows the floor plan: it can be done."""
+    """That of a short tour of a planner that knows the floor plan: it can be reached."""
     BOUND = "bound"
-    """Moves that are proved to be needed: it cannot be done faster."""
+    """Moves that are proved to be necessary: no planner is faster."""
 
 
 LIMITS: Final = {
@@ -51,12 +51,12 @@ LIMITS: Final = {
 OBSERVED: Final = "observed"
 """Only what was observed counts as known."""
 INFILL: Final = "infill-"
-"""And what lies within so many cells of it (chessboard distance)."""
+"""And what lies within this many cells of it (chessboard distance)."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """What is to be known of floor plans."""
+    """What is measured of each floor plan."""
 
     target: float = 0.98
     thresholds: Thresholds = Thresholds()
@@ -113,7 +113,7 @@ def limits_of(floor_plan: FloorPlan, question: Question) -> list[PlanLimit]:
 
 @dataclass(frozen=True, eq=False)
 class _Work:
-    """What takes a while, done when it is first needed."""
+    """What takes long, computed when it is first needed."""
 
     floor_plan: FloorPlan
     start: Cell
@@ -159,7 +159,7 @@ def _with_predictor(work: _Work, thresholds: Thresholds, predictor: Predictor) -
 
     identity = predictor.identity
     ours = type(predictor).__module__.partition(".")[0] == "mapreplay"
-    # Otherwise nobody can tell whether it is the same one next time.
+    # Otherwise it may be another one next time, without a sign of it.
     if not ours or not identity.sha256:
         return compute()
     key = ("predicted", work.floor_plan.sha256, work.target, thresholds, identity)
@@ -189,7 +189,7 @@ def fused_knowledge(
 def measure_limits(
     floor_plans: Sequence[FloorPlan], question: Question, jobs: int = 1
 ) -> Iterator[list[PlanLimit] | MapreplayError]:
-    """The limits of each floor plan, as they are done; an error is a result, too."""
+    """The limits of each floor plan, as they are finished; an error is a result, too."""
     return map_unordered(
         _measured,
         [(plan, question) for plan in floor_plans],

@@ -1,4 +1,4 @@
-"""A short tour of a planner that knows the floor plan *and* what the predictor would say.
+"""A short tour of a planner that knows the floor plan *and* what the predictor would predict.
 
 It ends as soon as the fused map knows enough. There is no formula for what a network will say of
 what it has not seen, so the predictor is asked at every tour that is tried, and the tour that is
@@ -30,22 +30,22 @@ Ask: TypeAlias = Callable[[Ints], Known]
 CALLS: Final = 400
 """Of the predictor, for one floor plan, at most."""
 TRIALS: Final = 100
-"""Times that stops are taken out."""
+"""Times that stops are removed."""
 REPAIRS: Final = 4
-"""Times that others are put in, before it is given up."""
+"""Attempts to insert others, before the search gives up."""
 PLANNED: Final = 30
 """Rounds of the search of an agent that plans ahead."""
 MENDED: Final = 2
-"""Rounds of the search that puts stops in."""
+"""Rounds of the search that inserts stops."""
 
 
 class _OutOfCallsError(Exception):
-    """The predictor was asked often enough."""
+    """The predictor was asked as often as is allowed."""
 
 
 @dataclass(eq=False)
 class _Asked:
-    """The predictor, asked at most so many times, and the best tour so far."""
+    """The predictor, asked at most a given number of times, and the best tour so far."""
 
     task: CoverageTask
     ask: Ask
@@ -138,7 +138,7 @@ def _drive(asked: _Asked) -> None:
 
 
 def _try(asked: _Asked, now: Tour, random: np.random.Generator) -> Tour | None:
-    """Take some stops out of a tour, and put others in; None if it would get too long."""
+    """Remove some stops of a tour and insert others; None if it would become too long."""
     task = asked.task
     keep = np.ones(len(now.stops), np.bool_)
     if len(keep) > 1:

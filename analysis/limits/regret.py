@@ -19,8 +19,8 @@ from mapreplay.step import OURS
 def reference_time(episode: LoggedEpisode, target: float) -> float:
     """Mapping time of a short tour of the episode's floor plan, from its start and sensor.
 
-    NaN where there is none: without a true map, on too large a floor plan, or where another
-    simulator's steps are no moves of ours.
+    NaN where there is none: without a true map, on too large a floor plan, or for an external
+    episode, whose steps are not moves of the simulator.
     """
     header = episode.header
     if header.simulator != OURS or not header.floor_plan.has_truth:
@@ -43,10 +43,10 @@ def _regret(episode: LoggedEpisode, terms: Terms, budget: int) -> float:
 
 
 REGRET = Measure("regret", "1", 3, _regret)
-"""T / T_reference - 1, where T is at most the budget; a reference of no move counts as one.
+"""T / T_reference - 1, where T is at most the budget; a reference of no move counts as one move.
 
-0 is as fast as the reference. It can be negative: the reference observes all that it knows, and
-an agent that builds the fused map need not.
+0 is as fast as the reference. It can be negative: the reference has to observe everything, and
+an agent that builds the fused map does not.
 """
 
 

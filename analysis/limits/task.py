@@ -1,4 +1,4 @@
-"""What has to be known of a floor plan, from where it is seen, and how one gets there."""
+"""What has to be known of a floor plan, from where it is seen, and the moves between."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class CoverageTask:
 
     @cached_property
     def seers(self) -> tuple[Longs, Ints]:
-        """The same the other way round: (start int64[N + 1], places from which a cell is seen)."""
+        """The inverse: (start int64[N + 1], places from which a cell is seen)."""
         data = np.ones(self.view.size, np.int8)
         shape = (len(self.places), len(self.cells))
         columns = sparse.csr_array((data, self.view, self.view_start), shape=shape).tocsc()

@@ -20,7 +20,7 @@ from mapreplay.analysis.limits.task import CoverageTask, Ints
 from mapreplay.errors import FloorPlanError
 
 ROUNDS: Final = 200
-"""Times that stops are taken out and others put in."""
+"""Times that stops are removed and others inserted."""
 MAX_PLACES: Final = 30_000
 """Reachable free cells above which no tour is searched for."""
 
@@ -59,7 +59,7 @@ def search(
     rounds: int,
     seed: int,
 ) -> Tour:
-    """A short tour that observes `needed` cells beside those that are known before.
+    """A short tour that observes `needed` cells besides those that are known before.
 
     Args:
         task: the floor plan.

@@ -1,4 +1,4 @@
-"""Whether P(occupied) means what it says: reliability, ECE, Brier, log loss, AUROC.
+"""Calibration of P(occupied): reliability, ECE, Brier score, log loss, AUROC.
 
 Everything comes from one small table of counts: how many cells had each level of p_wall, free
 and occupied, at each distance from what was observed. Counts of steps, episodes and floor plans
@@ -56,14 +56,14 @@ class PredictionCounts:
         return np.asarray(self.cells.sum(axis=0), np.int64)
 
     def group(self, number: int) -> PredictionCounts:
-        """Those of one distance group alone."""
+        """Those of one distance group."""
         alone = np.zeros_like(self.cells)
         alone[number] = self.cells[number]
         return PredictionCounts(alone, self.distances)
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """What the groups are called: "1", "2", "3-4", ..., ">16"."""
+        """Names of the groups: "1", "2", "3-4", ..., ">16"."""
         first = 1
         names = []
         for last in self.distances:
@@ -111,7 +111,7 @@ def no_cells(levels: int = LEVELS, distances: tuple[int, ...] = DISTANCES) -> Pr
 
 @dataclass(frozen=True)
 class Bin:
-    """The predictions of one stretch of [0, 1], its lower end included."""
+    """The predictions in one interval of [0, 1), closed at its lower end."""
 
     low: float
     high: float
@@ -123,9 +123,7 @@ class Bin:
 
 
 def reliability(counts: PredictionCounts, bins: int = BINS) -> tuple[Bin, ...]:
-    """The reliability diagram: `bins` stretches of equal width, each without its upper end but
-    the last.
-    """
+    """The reliability diagram: `bins` intervals of equal width; only the last includes its end."""
     free, occupied = counts.total
     both = free + occupied
     levels = both.size
@@ -151,8 +149,8 @@ class CalibrationScores:
     equal width, [0, .1) to [.9, 1], weighted by their cells (Naeini et al. 2015)."""
     brier: float
     log_loss: float
-    """Nats; probabilities are clipped at half a level, so that certain and wrong costs much and
-    not everything."""
+    """Nats; probabilities are clipped at half a level, so that being certain and wrong
+    costs much, but not infinitely much."""
     auroc: float
     """Probability that a wall got a higher p_wall than a free cell, ties counting half."""
 
@@ -201,15 +199,15 @@ def calibration_scores(counts: PredictionCounts) -> CalibrationScores:
 
 @dataclass(frozen=True)
 class Decided:
-    """What both thresholds make of the counted cells."""
+    """How many of the counted cells the thresholds decide."""
 
     cells: int
     free: int
-    """Taken for free."""
+    """Decided free."""
     free_wrong: int
     """Of these, walls."""
     occupied: int
-    """Taken for occupied."""
+    """Decided occupied."""
     occupied_wrong: int
     """Of these, free."""
 
@@ -226,7 +224,7 @@ class Decided:
 
 
 def decided(counts: PredictionCounts, thresholds: Thresholds) -> Decided:
-    """How many of the counted cells are sure enough to be taken, and how many of them wrongly."""
+    """How many of the counted cells the thresholds decide, and how many of them wrongly."""
     levels = counts.cells.shape[2]
     last_free = math.floor(thresholds.free_at_most * (levels - 1))
     first_occupied = max(math.ceil(thresholds.occupied_at_least * (levels - 1)), last_free + 1)

@@ -79,9 +79,9 @@ def measure_logs(
 ) -> Iterator[Result]:
     """Measure every log into `store`, or find it there; results come as they are done.
 
-    With further `metrics` (their names) everything is measured anew: what they depend on is
-    not known. A log that cannot be read is a result like others; so is one that a process died
-    of. A store that cannot be written only costs time.
+    With further `metrics` (their names) everything is measured again: what they depend on is
+    not known. A log that cannot be read is a result too, and so is one at which a process died.
+    A store that cannot be written only costs time.
 
     Raises:
         PluginError: a further metric is unknown or broken.
@@ -108,7 +108,7 @@ class _Task:
     scope: Scope
     metrics: tuple[str, ...]
     nonce: str
-    """With further metrics, which may be others the next time: no other run finds the tables."""
+    """With further metrics, which may change: only this run finds the tables."""
 
     def __call__(self, path: Path) -> Result:
         try:

@@ -1,7 +1,7 @@
 """All metrics of an episode, computed again from its logged poses and maps and the true map.
 
 One pass over the log gives a row for each step; `episode_metrics` makes one row of them. Memory
-is bounded by a chunk of steps and by the numbers that come out.
+is bounded by a chunk of steps and by the result.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ CHANGES: Final = ("prediction_change", "prediction_flips")
 """Mean |change of p_wall| from the step before, and the share of cells that changed sides, on
 the cells that are still unobserved."""
 _CHUNK: Final = 1 << 18
-"""Numbers of counted levels that are kept before they become scores."""
+"""Counts that are kept before they become scores."""
 
 
 @dataclass(frozen=True)
@@ -50,17 +50,17 @@ class Scope:
 
     unknown_as: UnknownAs = UnknownAs.FREE
     everywhere: bool = False
-    """All cells of the map, and not the explorable ones only."""
+    """All cells of the map, not only the explorable ones."""
 
     @property
     def as_recorded(self) -> bool:
-        """Whether it is what a log's own metrics are of."""
+        """Whether it is the scope of a log's own metrics."""
         return self == Scope()
 
 
 @dataclass(frozen=True)
 class Disagreement:
-    """A metric whose recorded value is not the one that the logged maps give."""
+    """A metric whose recorded value differs from the one that the logged maps give."""
 
     step: int
     name: str
@@ -79,14 +79,13 @@ class Measurements:
     """The metrics of one episode."""
 
     steps: pl.DataFrame
-    """One row a step: ``step``, all of `StepMetrics`, the prediction's scores on unobserved
+    """A row per step: ``step``, all of `StepMetrics`, the prediction's scores on unobserved
     cells (``ece_unobserved``; by distance ``ece_at_1``, ..., see `distance_labels`), `CHANGES`,
     and the further metrics. What is undefined is null."""
     predictions: PredictionCounts | None
     """Those on unobserved cells of all steps together; None without a prediction."""
     disagreements: tuple[Disagreement, ...]
-    """With the scope of a recording: where its values are not those that the maps give, bit
-    for bit."""
+    """With the scope of a recording: where its values differ from those of the maps in any bit."""
 
 
 def measure_log(
@@ -95,8 +94,8 @@ def measure_log(
     """All metrics of every step of a log.
 
     Args:
-        log: an unfinished one is measured as far as it goes. Where steps are missing, the way
-            that was travelled in them is taken from the recording.
+        log: an unfinished one is measured as far as it goes. Where steps are missing, the
+            distance that was travelled in them is taken from the recording.
         scope: which cells count; the explorable ones, unknown as free, by default.
         metrics: further metrics by name; with any, reading takes about three times as long.
 
@@ -150,7 +149,7 @@ class _Look:
     p_wall: Quantized | None
     fused: Grid
     step: Step | None
-    """Read only if somebody needs all of it."""
+    """Read only if a further metric needs it."""
 
 
 def _looks(log: EpisodeLog, *, whole_steps: bool) -> Iterator[_Look]:
@@ -185,7 +184,7 @@ def _disagreements(
 
 
 class _Predictions:
-    """What the predictions of an episode were worth on the cells that were not yet observed."""
+    """Scores of the predictions of an episode on the cells that were not yet observed."""
 
     def __init__(self, truth: Grid, cells: Mask) -> None:
         self.total: PredictionCounts | None = None

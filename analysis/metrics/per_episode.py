@@ -28,7 +28,7 @@ def episode_metrics(
     the whole budget (see `curves.area`) and ``correct_area``; steps and metres until each
     milestone (``steps_to_90``, ``path_to_90``, and the same of ``correct_90``), null if it was
     never reached; the scores of the predictions on the unobserved cells of all steps together
-    (``brier_pooled`` stands beside ``brier_unobserved``, which is of the last step); the means
+    (``brier_pooled``, while ``brier_unobserved`` is that of the last step); the means
     of `CHANGES`; and how many ``disagreements`` with the recording there are, and the first.
     What is undefined is null.
     """
@@ -60,7 +60,7 @@ def _milestones(
     numbers_of_steps = steps["step"].to_numpy()
     curve = by_step(numbers_of_steps, steps[column].to_numpy())
     length = by_step(numbers_of_steps, steps["path_length"].to_numpy()).tolist()
-    # Without a budget there is nothing that the area could be a share of.
+    # Without a budget the area is a share of nothing.
     numbers: dict[str, float | int | None] = {
         f"{prefix}area": None if budget is None else area(curve, budget)
     }

@@ -1,4 +1,4 @@
-"""Further metrics of a step, by name: ours and those of others."""
+"""Further metrics of a step, by name: built-in and from plug-ins."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mapreplay.text import one_line
 
 
 class Metric(Protocol):
-    """A number for each step; others come in through the entry point ``mapreplay.metrics``."""
+    """A number for each step; plug-ins register under the entry point ``mapreplay.metrics``."""
 
     @property
     def unit(self) -> str:
@@ -35,7 +35,7 @@ class FrontierSize:
 
 
 class FalseWalls:
-    """Explorable free cells that the fused map takes for walls."""
+    """Explorable free cells that are walls in the fused map."""
 
     unit = "1"
 
@@ -46,7 +46,7 @@ class FalseWalls:
 
 
 class FalseFree:
-    """Explorable walls that the fused map takes for free."""
+    """Explorable walls that are free in the fused map."""
 
     unit = "1"
 
@@ -66,7 +66,7 @@ def load_metric(name: str) -> Metric:
 
 
 def guarded(name: str, metric: Metric, header: EpisodeHeader, region: Mask, step: Step) -> float:
-    """The value of somebody's metric at a step.
+    """The value of a metric, perhaps of a plug-in, at a step.
 
     Raises:
         MapreplayError: it failed; the error names it.

@@ -1,7 +1,7 @@
-"""Tables of measured episodes, kept by what they are of.
+"""Tables of measured episodes, kept between runs.
 
-They are found again by the bytes of the log, the scope, and the code that measures. So a log that
-was moved or copied is still known, and one that changed in a single bit is not.
+The key is the bytes of the log, the scope, and the code that measures. So a log that was moved or
+copied is still found, and one that changed in a single bit is not.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Tables:
     """What was measured of an episode."""
 
     steps: pl.DataFrame
-    """One row a step."""
+    """A row per step."""
     episode: pl.DataFrame
     """One row, see `mapreplay.analysis.metrics.per_episode.episode_metrics`."""
 
@@ -77,7 +77,7 @@ class Store:
 
 @contextmanager
 def temporary_store() -> Iterator[Store]:
-    """A store that is gone afterwards; where there is no place for one, nothing is kept."""
+    """A store that is deleted afterwards; without a folder for it, nothing is kept."""
     try:
         folder = tempfile.TemporaryDirectory(prefix="mapreplay-", ignore_cleanup_errors=True)
     except OSError:

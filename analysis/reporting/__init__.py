@@ -1,1 +1,1 @@
-"""Pages, figures and numbers in words: what every report has in common."""
+"""Pages, figures and numbers in words: shared by all reports."""

@@ -1,4 +1,4 @@
-"""What all figures have in common: their style, for a light page and for a dark one, and files."""
+"""What all figures share: their style, for a light and for a dark page, and their files."""
 
 from __future__ import annotations
 
@@ -6,55 +6,53 @@ import io
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import astuple, dataclass
 from typing import Any, Final
 
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+from mapreplay.recorders.pictures.palette import (
+    BLUE,
+    GREEN,
+    ORANGE,
+    PAGE,
+    PAGE_DARK,
+    PURPLE,
+    SKY_BLUE,
+    VERMILION,
+    Theme,
+    hex_of,
+)
 from mapreplay.text import printable, shortened
 
-COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
-"""Of Okabe and Ito (2008): they can be told apart with any kind of colour vision."""
+COLOURS: Final = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY_BLUE)
+"""Of groups, in their order; the next one has the colour of the ink."""
 MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X")
 LINES: Final = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1)), (0, (1, 1)))
-"""So that a figure can be read without its colours."""
+"""So that a figure is readable without its colours."""
 _LONGEST: Final = 60
 """Characters of a name."""
 
-
-@dataclass(frozen=True)
-class Theme:
-    """Colours of a page."""
-
-    paper: str
-    ink: str
-    faint: str
-
-
-LIGHT: Final = Theme("#fcfcfa", "#1d2126", "#d5d8db")
-DARK: Final = Theme("#15181c", "#e4e7ea", "#3a4148")
 
 Draw = Callable[[Figure, Theme], None]
 """Draws into an empty figure."""
 
 
 def colour(number: int, theme: Theme) -> str:
-    """The colour of the n-th group; black is white on a dark page."""
-    chosen = COLOURS[number % len(COLOURS)]
-    return theme.ink if chosen == "#000000" else chosen
+    """The colour of the n-th group, as matplotlib takes it."""
+    return hex_of((*COLOURS, theme.ink)[number % (len(COLOURS) + 1)])
 
 
 def label(name: str) -> str:
-    """A name from outside, for a legend, an axis or a title: `printable`, and not too long."""
+    """A name from outside, for a legend, an axis or a title: printable, and not too long."""
     text = shortened(name, _LONGEST)
-    # What begins with an underscore is left out of a legend.
+    # matplotlib leaves names that begin with an underscore out of a legend.
     return f" {text}" if text.startswith("_") else text
 
 
 def plain(figure: Figure) -> None:
-    """Let no text of a figure be TeX, whatever is in it, and no control character reach a file."""
+    """Draw all text as it is, never as TeX, and let no control character into a file."""
     for text in figure.findobj(Text):
         if isinstance(text, Text):
             text.set_parse_math(False)
@@ -63,15 +61,15 @@ def plain(figure: Figure) -> None:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """What matplotlib warns of is how a figure looks: letters that its font does not have (in an
-    SVG the reader's font has them), too little room. It is no matter for the terminal.
+    """Silence matplotlib's warnings on looks: letters that its font does not have (in an SVG the
+    reader's font has them), too little room.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         yield
 
 
-def render(draw: Draw, size: tuple[float, float], theme: Theme = LIGHT, form: str = "svg") -> bytes:
+def render(draw: Draw, size: tuple[float, float], theme: Theme = PAGE, form: str = "svg") -> bytes:
     """The figure as the bytes of an SVG or PNG file; the same figure gives the same bytes.
 
     Args:
@@ -80,27 +78,28 @@ def render(draw: Draw, size: tuple[float, float], theme: Theme = LIGHT, form: st
         theme: of the page that it is for.
         form: "svg" or "png".
     """
+    paper, ink = hex_of(theme.paper), hex_of(theme.ink)
     style: dict[Any, Any] = {  # matplotlib's keys are a Literal of 300 names
-        "axes.edgecolor": theme.ink,
-        "axes.facecolor": theme.paper,
+        "axes.edgecolor": ink,
+        "axes.facecolor": paper,
         "axes.grid": True,
-        "axes.labelcolor": theme.ink,
+        "axes.labelcolor": ink,
         "axes.spines.right": False,
         "axes.spines.top": False,
         "axes.titlelocation": "left",
         "axes.titlesize": 10,
-        "figure.facecolor": theme.paper,
+        "figure.facecolor": paper,
         "font.family": "sans-serif",
         "font.size": 9,
-        "grid.color": theme.faint,
+        "grid.color": hex_of(theme.line),
         "grid.linewidth": 0.6,
         "legend.frameon": False,
-        "savefig.facecolor": theme.paper,
-        "svg.fonttype": "none",  # letters stay letters: small, and to be searched
+        "savefig.facecolor": paper,
+        "svg.fonttype": "none",  # text stays text: small, and searchable
         "svg.hashsalt": "mapreplay",
-        "text.color": theme.ink,
-        "xtick.color": theme.ink,
-        "ytick.color": theme.ink,
+        "text.color": ink,
+        "xtick.color": ink,
+        "ytick.color": ink,
     }
     file = io.BytesIO()
     with rc_context(style), quiet():
@@ -113,7 +112,8 @@ def render(draw: Draw, size: tuple[float, float], theme: Theme = LIGHT, form: st
 
 
 def in_the_dark(svg: bytes) -> bytes:
-    """An SVG that was rendered for a light page, for a dark one."""
-    for light, dark in zip(astuple(LIGHT), astuple(DARK), strict=True):
+    """An SVG that was rendered for a light page, in the colours of a dark one."""
+    for part in ("paper", "ink", "faint", "line"):
+        light, dark = (hex_of(getattr(theme, part)) for theme in (PAGE, PAGE_DARK))
         svg = svg.replace(light.encode(), dark.encode())
     return svg

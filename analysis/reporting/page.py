@@ -1,8 +1,8 @@
 """One self-contained HTML page: readable on a desk and on a phone, in light and in dark.
 
 A page is a title, a sentence, and blocks. Everything that comes from outside (ids of floor
-plans, names of files) is escaped where it is put in; pictures are embedded; the page runs no
-script and fetches nothing, and says so to the browser in its content security policy.
+plans, names of files) is escaped where it is inserted; pictures are embedded; the page runs no
+script and fetches nothing, and its content security policy tells the browser so.
 
     path.write_text(Page("Two planners", "Ten floor plans.", [Heading("Times"), Table(...)]).html())
 """
@@ -17,6 +17,7 @@ from importlib import resources
 from typing import Final, Protocol, TypeAlias
 from urllib.parse import quote
 
+from mapreplay.analysis.reporting.wording import UNDEFINED
 from mapreplay.text import printable
 
 
@@ -30,7 +31,7 @@ class Block(Protocol):
 
 @dataclass(frozen=True)
 class Code:
-    """Words that somebody types or that name a file, within a sentence."""
+    """Something typed, or the name of a file, within a sentence."""
 
     text: str
 
@@ -94,7 +95,7 @@ class Paragraph:
 
 @dataclass(frozen=True, init=False)
 class Note:
-    """Something that the reader must not miss, set apart."""
+    """Something that the reader must not miss, in a box."""
 
     parts: tuple[Inline, ...]
 
@@ -118,7 +119,7 @@ class Items:
 
 
 @dataclass(frozen=True)
-class Command:
+class CommandLine:
     """A command line, to be copied; a long one is wrapped."""
 
     text: str
@@ -130,7 +131,7 @@ class Command:
 
 @dataclass(frozen=True)
 class Numbers:
-    """A few large numbers, each with what it is: ``[("61 %", "less mapping time"), ...]``."""
+    """A few large numbers, each with its label: ``[("61 %", "less mapping time"), ...]``."""
 
     numbers: Sequence[tuple[str, str]]
 
@@ -145,7 +146,7 @@ class Numbers:
 
 @dataclass(frozen=True)
 class Facts:
-    """Names and values, a line each."""
+    """Names and values, one per line."""
 
     facts: Sequence[tuple[str, Inline]]
 
@@ -157,17 +158,15 @@ class Facts:
         return f'<dl class="facts">{lines}</dl>'
 
 
-UNDEFINED: Final = "-"
-
 Value: TypeAlias = Inline | int | float | bool | None
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows under a head; on a narrow screen it scrolls by itself, with its first column in place.
+    """Rows under a head; on a narrow screen it scrolls sideways, with its first column in place.
 
     Columns with nothing but numbers are set flush right. None and NaN are shown as a dash, a
-    float with three decimals: format it before if it should have others.
+    float with three decimals: format it first if it needs others.
     """
 
     head: Sequence[str]
@@ -208,7 +207,7 @@ class Table:
         return f'<th scope="row"{first}th>' + "".join(f"<td{cell}td>" for cell in rest)
 
 
-def _aligned(right: bool) -> str:  # noqa: FBT001 (it is what it says)
+def _aligned(right: bool) -> str:  # noqa: FBT001 (the only argument)
     return ' class="number"' if right else ""
 
 
@@ -223,8 +222,8 @@ def _shown(value: Value) -> str:
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A picture with what it shows; `dark` is the same for a dark page.
+class Illustration:
+    """A picture with a description; `dark` is the same for a dark page.
 
     Both are the bytes of a PNG or an SVG file. `pixelated` keeps the cells of a small map sharp
     when it is shown larger.
@@ -232,7 +231,7 @@ class Picture:
 
     image: bytes
     alt: str
-    """What is seen in it, for those who do not see it."""
+    """What it shows, for readers who cannot see it."""
     caption: str = ""
     dark: bytes | None = None
     pixelated: bool = False
@@ -266,11 +265,11 @@ def _data_uri(image: bytes) -> str:
 
 @dataclass(frozen=True)
 class Columns:
-    """Blocks side by side as far as there is room, and below each other where there is none."""
+    """Blocks side by side where there is room, below each other where there is none."""
 
     blocks: Sequence[Block]
     wide: bool = False
-    """Two in a row at most, for figures; else as many as are at least a map wide."""
+    """At most two per row, for figures; otherwise as many as fit, each at least a map wide."""
 
     def html(self) -> str:
         """See `Block`."""
@@ -292,7 +291,7 @@ class Card:
 
 @dataclass(frozen=True)
 class Details:
-    """Blocks that are shown when somebody asks for them."""
+    """Blocks that are shown when the reader opens them."""
 
     summary: str
     blocks: Sequence[Block]
@@ -304,7 +303,7 @@ class Details:
 
 
 POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
-"""What the browser lets the page do: nothing but show what is in it."""
+"""What the browser lets the page do: only show what is in it."""
 
 
 @dataclass(frozen=True)
@@ -313,7 +312,7 @@ class Page:
 
     title: str
     lead: str
-    """One sentence below the title: the answer, for who reads no further."""
+    """One sentence below the title: the answer."""
     blocks: Sequence[Block]
     footer: str = ""
 

@@ -10,18 +10,23 @@ UNDEFINED = "-"
 
 
 def counted(number: int, noun: str) -> str:
-    """``1 log``, ``2 logs``: of a noun whose plural takes an s."""
+    """``1 log``, ``2 logs``: for a noun whose plural ends in s."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
-def with_interval(estimate: Estimate, digits: int) -> str:
-    """``238.5 (211.9 to 293.8)``; without an interval the mean alone."""
-    if estimate.mean != estimate.mean:
+def interval(low: float, high: float, digits: int = 1, factor: float = 1) -> str:
+    """``211.9 to 293.8``; of a share with `factor` 100, ``32.8 to 53.8``."""
+    if low != low:
         return UNDEFINED
-    mean = f"{estimate.mean:.{digits}f}"
+    return f"{factor * low:.{digits}f} to {factor * high:.{digits}f}"
+
+
+def with_interval(estimate: Estimate, digits: int, factor: float = 1) -> str:
+    """``238.5 (211.9 to 293.8)``; without an interval the mean alone."""
+    mean = number(factor * estimate.mean, digits)
     if estimate.low != estimate.low:
         return mean
-    return f"{mean} ({estimate.low:.{digits}f} to {estimate.high:.{digits}f})"
+    return f"{mean} ({interval(estimate.low, estimate.high, digits, factor)})"
 
 
 def number(value: float, digits: int = 0) -> str:
@@ -30,7 +35,7 @@ def number(value: float, digits: int = 0) -> str:
 
 
 def share(value: float) -> str:
-    """``47.1 %``; what is not all or nothing is never written so: ``>99.9 %``, ``<0.1 %``."""
+    """``47.1 %``; only 1 and 0 are written as all and nothing: ``>99.9 %``, ``<0.1 %``."""
     if value != value:
         return UNDEFINED
     if 0.9995 <= value < 1:
@@ -47,7 +52,7 @@ def percent(estimate: Estimate) -> str:
     mean = share(estimate.mean)
     if estimate.low != estimate.low:
         return mean
-    return f"{mean} ({100 * estimate.low:.1f} to {100 * estimate.high:.1f} %)"
+    return f"{mean} ({interval(estimate.low, estimate.high, factor=100)} %)"
 
 
 def p_value(p: float) -> str:
@@ -56,12 +61,12 @@ def p_value(p: float) -> str:
 
 
 def p_number(p: float) -> str:
-    """``0.031``, ``< 0.001``: in a column whose head says p."""
+    """``0.031``, ``< 0.001``: for a column with the heading p."""
     return _compared(p).removeprefix("= ")
 
 
 SMALLEST_P: Final = 0.001
-"""Below, nobody needs digits."""
+"""Smaller ones are not written out."""
 
 
 def _compared(p: float) -> str:
@@ -73,15 +78,15 @@ def _compared(p: float) -> str:
 
 
 MULTIPLE: Final = -1.0
-"""A reduction of a time below this is said as a multiple of the other time."""
+"""A reduction of a time below this is written as a multiple of the other time."""
 
 
 def reduction(estimate: Estimate) -> str:
-    """What a time is beside another, of the reduction ``1 - time / other``, which is at most 1.
+    """A time compared with another, of the reduction ``1 - time / other``, which is at most 1.
 
     ``reduced by 47.1 % (32.8 to 53.8 %)``, ``7.4 % longer (2.0 to 11.3 %)``, ``64 times as long
-    (31 to 97 times)``; where the interval has other signs, they are said with its ends. A time
-    cannot be reduced by less than nothing, and nobody can read a reduction by -6337 %.
+    (31 to 97 times)``; where the signs differ, both ends are written in words. A time
+    cannot be reduced by less than nothing, and a reduction by -6337 % is unreadable.
     """
     mean, low, high = estimate.mean, estimate.low, estimate.high
     if mean != mean:
@@ -90,11 +95,11 @@ def reduction(estimate: Estimate) -> str:
     if low != low:
         return said
     if low >= 0:
-        return f"{said} ({100 * low:.1f} to {100 * high:.1f} %)"
+        return f"{said} ({interval(low, high, factor=100)} %)"
     if high < MULTIPLE:
         return f"{said} ({times(1 - high)} to {times(1 - low)})"
     if low >= MULTIPLE and high < 0:
-        return f"{said} ({-100 * high:.1f} to {-100 * low:.1f} %)"
+        return f"{said} ({interval(high, low, factor=-100)} %)"
     return f"{said} ({change(low)} to {change(high)})"
 
 

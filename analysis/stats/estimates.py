@@ -25,10 +25,10 @@ RESAMPLES: Final = 9_999
 CONFIDENCE: Final = 0.95
 
 Values: TypeAlias = Sequence[float] | npt.NDArray[np.floating]
-"""One value a floor plan; NaN where it is undefined."""
+"""One value per floor plan; NaN where it is undefined."""
 
 NEVER: Final = math.inf
-"""The time of what did not happen: the agent was sealed in, or ran out of steps."""
+"""The time of what never happened: the agent was sealed in, or ran out of steps."""
 
 _Plan = TypeVar("_Plan", bound=Hashable)
 
@@ -41,7 +41,7 @@ class Estimate:
     low: float
     high: float
     plans: int
-    """Floor plans that it is of."""
+    """Floor plans that were averaged."""
     undefined: int = 0
     """Floor plans that were left out, because their value is undefined."""
 
@@ -86,7 +86,7 @@ def pooled_interval(
     if plans < 2 or math.isnan(value):
         return Estimate(value, math.nan, math.nan, plans)
     without = [float(statistic(np.delete(everyone, i))) for i in everyone]
-    if np.ptp(without) <= 1e-12 * max(abs(value), 1e-300):  # every plan says the same
+    if np.ptp(without) <= 1e-12 * max(abs(value), 1e-300):  # all plans agree
         return Estimate(value, value, value, plans)
     interval = stats.bootstrap(
         (everyone,),
@@ -139,7 +139,7 @@ def paired_difference(candidate: Values, reference: Values) -> Estimate:
 
 
 def reductions(candidate: Values, reference: Values) -> npt.NDArray[np.float64]:
-    """float64[n]: 1 - candidate / reference of times; NaN where the reference took none.
+    """float64[n]: 1 - candidate / reference of times; NaN where the reference took no time.
 
     Raises:
         ValueError: other lengths, or a negative time.
@@ -176,8 +176,8 @@ def restricted(times: Values, budget: float | Values) -> npt.NDArray[np.float64]
 def restricted_mean(times: Values, budget: float | Values) -> Estimate:
     """Restricted mean time: the mean of min(time, budget), with its interval.
 
-    A failure is a competing event, not censoring: whoever is sealed in will never arrive, so
-    it counts with the whole budget.
+    A failure is a competing event, not censoring: an agent that is sealed in never reaches the
+    target, so it counts with the whole budget.
     """
     return mean_interval(restricted(times, budget))
 
@@ -207,7 +207,7 @@ def proportion(count: int, of: int) -> Proportion:
         ValueError: not 0 <= count <= of.
     """
     if not 0 <= count <= of:
-        raise ValueError(f"{count} of {of} is no share")
+        raise ValueError(f"{count} of {of} is not a share")
     if of == 0:
         return Proportion(0, 0, math.nan, math.nan, math.nan)
     interval = stats.binomtest(count, of).proportion_ci(CONFIDENCE, method="wilson")
@@ -217,12 +217,12 @@ def proportion(count: int, of: int) -> Proportion:
 def cumulative_incidence(times: Values, at: Values) -> list[Proportion]:
     """The share of floor plans where it has happened by each of the moments `at`.
 
-    `times` has one a floor plan, `NEVER` where a competing event (sealed in, out of steps)
+    `times` has one per floor plan, `NEVER` where a competing event (sealed in, out of steps)
     came first. With every episode followed to its end this is the Aalen-Johansen estimate;
-    Kaplan-Meier would take failures for censoring, and promise too much.
+    Kaplan-Meier would treat failures as censored, and be too optimistic.
 
     Raises:
-        ValueError: a time is undefined: what was cut off has no place here.
+        ValueError: a time is undefined: leave out episodes that were cut off.
     """
     reached = np.asarray(times, np.float64)
     if np.isnan(reached).any():

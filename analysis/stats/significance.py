@@ -1,11 +1,11 @@
-"""Tests of significance on paired values, one pair a floor plan.
+"""Tests of significance on paired values, one pair per floor plan.
 
 Sign-flips are counted here and not by scipy: its ``permutation_test`` gives the same exact p (a
 test compares them) in 5 to 12 times the time, its ``wilcoxon`` with a ``PermutationMethod`` in a
 thousand times (13 floor plans: 1 against 1,200 ms).
 
-All are two-sided. What they can say at best depends on the number of floor plans that differ:
-with five, no p-value is below .0625. So every result carries the smallest p that was possible.
+All are two-sided. The smallest p depends on the number of floor plans that differ: with five, no
+p-value is below .0625. So every result has the smallest p that was possible.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from scipy import stats
 from mapreplay.analysis.stats.estimates import Values
 
 EXACT: Final = 13
-"""Floor plans up to which all assignments of signs are gone through."""
+"""Floor plans up to which all assignments of signs are enumerated."""
 PERMUTATIONS: Final = 9_999
 """Drawn where there are more."""
 
 
 @dataclass(frozen=True)
 class TestResult:
-    """Of a test: how likely so large an effect would be without any."""
+    """The result of a test: how likely an effect of this size would be by chance."""
 
-    __test__ = False  # pytest: this is no test of ours
+    __test__ = False  # for pytest: not a test case
 
     name: str
     statistic: float
@@ -40,7 +40,7 @@ class TestResult:
     plans: int
     """Floor plans with a defined difference."""
     smallest_p: float
-    """That the number of floor plans that differ could have given."""
+    """The smallest p possible with the number of floor plans that differ."""
 
 
 def smallest_p(differing: int) -> float:
@@ -93,7 +93,7 @@ class McNemar:
     neither: int
     p: float
     smallest_p: float
-    """That the number of floor plans on which the two differ could have given."""
+    """The smallest p possible with the number of floor plans on which the two differ."""
 
 
 def mcnemar(candidate: Sequence[bool], reference: Sequence[bool]) -> McNemar:
@@ -163,8 +163,10 @@ def _signs(count: int) -> npt.NDArray[np.float64]:
 
 
 def _two_sided(null: npt.NDArray[np.float64], observed: float) -> float:
-    """Share of `null`, which is symmetric about 0, that is at least as far out, both sides."""
-    slack = 1e-9 * max(float(np.abs(null).max()), 1e-300)  # sums in another order differ a little
+    """Share of `null`, which is symmetric about 0, that is at least as extreme, on both sides."""
+    slack = 1e-9 * max(
+        float(np.abs(null).max()), 1e-300
+    )  # the order of summation changes the last digits
     return min(1.0, float((np.abs(null) >= abs(observed) - slack).mean()))
 
 
@@ -178,5 +180,5 @@ def _smallest(data: npt.NDArray[np.float64]) -> float:
 
 
 def _nothing(name: str, plans: int) -> TestResult:
-    """Of no floor plans, or of floor plans that do not differ at all."""
+    """The result for no floor plans, or for floor plans that do not differ."""
     return TestResult(name, math.nan, 1.0 if plans else math.nan, plans, 1.0)

@@ -1,4 +1,4 @@
-"""A heat map of what thresholds would have meant."""
+"""A heat map of scores by thresholds."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from mapreplay.analysis.reporting.figures import COLOURS, Theme
 from mapreplay.analysis.whatif.grid import WhatIf
+from mapreplay.recorders.pictures.palette import VERMILION, Theme, hex_of
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ class HeatMap:
                 np.array(self.result.delta_free)[i],
                 np.array(self.result.delta_occupied)[j],
                 "X",
-                markerfacecolor="#ffffff",
-                markeredgecolor="#1d2126",
+                markerfacecolor="white",
+                markeredgecolor="black",
                 markersize=5,
                 markeredgewidth=0.7,
                 label="sealed in at some step",
@@ -47,7 +47,7 @@ class HeatMap:
                 *self.logged,
                 "o",
                 markerfacecolor="none",
-                markeredgecolor=COLOURS[1],
+                markeredgecolor=hex_of(VERMILION),
                 markersize=11,
                 markeredgewidth=2.2,
                 label="as logged",
@@ -57,7 +57,7 @@ class HeatMap:
             place.grid(visible=False)
         axes[0].set_ylabel("delta_occupied")
         axes[0].legend(loc="upper left", bbox_to_anchor=(0, -0.16), ncols=2)
-        figure.suptitle("Open loop: the trajectory stays as it was", x=0.01, ha="left", size=9)
+        figure.suptitle("Open loop: the trajectory stays as logged", x=0.01, ha="left", size=9)
 
 
 def _edges(values: tuple[float, ...]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:

@@ -1,8 +1,8 @@
-"""What other thresholds would have made of the logged predictions, at every step.
+"""The fused maps that other thresholds would have made of the logged predictions.
 
 Open loop: the trajectory, the observations and the predictions stay as they were logged; only
-the fused map is made again. So a threshold that looks better here may lead an agent elsewhere
-(`branch` runs it on).
+the fused map is recomputed. So a threshold that looks better here may lead an agent elsewhere
+(`branch` continues the episode with it).
 """
 
 from __future__ import annotations
@@ -51,23 +51,23 @@ class WhatIf:
         """The pair delta_free[i], delta_occupied[j]."""
         sealed = np.flatnonzero(self.sealed[:, i, j])
         first = int(sealed[0]) if sealed.size else None
-        released = None
+        freed = None
         if first is not None:
             free = self.steps[(self.steps > first) & ~self.sealed[self.steps, i, j]]
-            released = int(free[0]) if free.size else None
+            freed = int(free[0]) if free.size else None
         return Course(
             delta_free=self.delta_free[i],
             delta_occupied=self.delta_occupied[j],
             reached=first_reached(self.coverage[:, i, j], self.target),
             sealed=first,
-            released=released,
+            freed=freed,
             sealed_steps=int(sealed.size),
         )
 
 
 @dataclass(frozen=True)
 class Course:
-    """What one pair of thresholds would have meant; steps are None where it never came to it."""
+    """What one pair of thresholds would have meant; a step is None where that never happened."""
 
     delta_free: float
     delta_occupied: float
@@ -75,8 +75,8 @@ class Course:
     """The first step at which the fused map reached the target coverage."""
     sealed: int | None
     """The first step at which the agent would have been sealed in."""
-    released: int | None
-    """The first step after that at which it would not."""
+    freed: int | None
+    """The first step after that at which it would have a frontier again."""
     sealed_steps: int
 
 
@@ -86,7 +86,7 @@ def what_if(
     """Fuse every step of a log again with every pair of thresholds.
 
     Raises:
-        UsageError: a threshold is not in (0, 1], or one is there twice.
+        UsageError: a threshold is not in (0, 1], or is repeated.
         LogError: the log cannot be read, or has no prediction.
     """
     grid = _Grid(tuple(sorted(delta_free)), tuple(sorted(delta_occupied)))
@@ -96,7 +96,7 @@ def what_if(
     f1, coverage, correct = (np.full(shape, np.nan) for _ in range(3))
     sealed = np.zeros(shape, np.bool_)
     reached = np.zeros(shape[1:], np.bool_)
-    # A step without a prediction is one of which no threshold is sure: delta is above 0.
+    # A step without a prediction has p = .5 everywhere, which no threshold above 0 decides.
     nothing, some = np.full(truth.shape, 0.5, np.float32), False
     for maps, (k, row, col) in zip(log.maps("observed", "p_wall"), agents, strict=True):
         observed, predicted = cast("tuple[Grid, Quantized | None]", maps)
@@ -134,7 +134,7 @@ class _Grid:
             if not values or not all(0 < value <= 1 for value in values):
                 raise UsageError(f"delta-{name}: thresholds must be above 0 and at most 1")
             if len(set(values)) < len(values):
-                raise UsageError(f"delta-{name}: a threshold is there twice")
+                raise UsageError(f"delta-{name}: a threshold is repeated")
 
     def levels(self, p_wall: Quantized) -> tuple[Reals, Reals]:
         """float64[m] and float64[n]: what each threshold means as a value of the prediction."""
@@ -152,27 +152,27 @@ def _scores(
     """float64[m, n] each: F1, coverage and correct coverage of the fused maps of a step."""
     seen = scores.tally(observed, truth, region)
     hidden = region & (observed == UNKNOWN)
-    said = {}
+    counted = {}
     for kind in (FREE, OCCUPIED):
         levels = np.sort(p_wall[hidden & (truth == kind)])
         as_free = np.searchsorted(levels, free, side="right")[:, None]
         below = np.searchsorted(levels, occupied, side="left")[None, :]
-        said[kind] = as_free, levels.size - np.maximum(as_free, below)  # free wins a tie
-    (free_right, walls_wrong), (free_wrong, walls_right) = said[FREE], said[OCCUPIED]
+        counted[kind] = as_free, levels.size - np.maximum(as_free, below)  # free wins a tie
+    (free_right, walls_wrong), (free_wrong, walls_right) = counted[FREE], counted[OCCUPIED]
     hits = seen[2, 2] + walls_right
-    claimed = hits + seen[2, 1] + walls_wrong
+    predicted_walls = hits + seen[2, 1] + walls_wrong
     known = seen[1:].sum() + free_right + walls_wrong + free_wrong + walls_right
     right = seen[1, 1] + seen[2, 2] + free_right + walls_right
     with np.errstate(divide="ignore", invalid="ignore"):
         total = np.float64(seen.sum())
-        return 2 * hits / (claimed + seen[:, 2].sum()), known / total, right / total
+        return 2 * hits / (predicted_walls + seen[:, 2].sum()), known / total, right / total
 
 
 def what_if_frame(result: WhatIf, step: int = -1) -> pl.DataFrame:
-    """One row a pair of thresholds: what `WhatIf` says of it at `step`, and its `Course`.
+    """A row per pair of thresholds: its scores at `step`, and its `Course`.
 
     delta_free, delta_occupied, f1, coverage, correct_coverage, mean_f1 and mean_coverage (over
-    all steps), and reached, sealed, released, sealed_steps; null where it never came to it.
+    all steps), and reached, sealed, freed, sealed_steps; null where that never happened.
     """
     rows = []
     for i, delta_free in enumerate(result.delta_free):
@@ -189,11 +189,11 @@ def what_if_frame(result: WhatIf, step: int = -1) -> pl.DataFrame:
                     "mean_coverage": float(result.coverage[result.steps, i, j].mean()),
                     "reached": course.reached,
                     "sealed": course.sealed,
-                    "released": course.released,
+                    "freed": course.freed,
                     "sealed_steps": course.sealed_steps,
                 }
             )
-    counts = ("reached", "sealed", "released", "sealed_steps")
+    counts = ("reached", "sealed", "freed", "sealed_steps")
     overrides = dict.fromkeys(counts, pl.Int64)
     return pl.DataFrame(rows, schema_overrides=overrides).with_columns(
         pl.col(pl.Float64).fill_nan(None)
@@ -201,20 +201,20 @@ def what_if_frame(result: WhatIf, step: int = -1) -> pl.DataFrame:
 
 
 @dataclass(frozen=True)
-class Release:
-    """How much stricter a threshold had to be for a way on at a step; None if no value of the
-    grid gives one.
-    """
+class SufficientThresholds:
+    """Thresholds that would have left a frontier at a step; None if no value of the grid does."""
 
     step: int
     delta_free: float | None
-    """The smallest, with delta_occupied as it was."""
+    """The smallest, with delta_occupied as logged."""
     delta_occupied: float | None
-    """The smallest, with delta_free as it was."""
+    """The smallest, with delta_free as logged."""
 
 
-def release(log: EpisodeLog, step: int, deltas: Sequence[float]) -> Release:
-    """Which of the thresholds `deltas` would have left a way on at `step`, one changed at a time.
+def sufficient_thresholds(
+    log: EpisodeLog, step: int, deltas: Sequence[float]
+) -> SufficientThresholds:
+    """Which of the thresholds `deltas` would have left a frontier at `step`, one changed at a time.
 
     Raises:
         UsageError, LogError: see `what_if`.
@@ -237,7 +237,7 @@ def release(log: EpisodeLog, step: int, deltas: Sequence[float]) -> Release:
 
     free_first = first([Thresholds(d, config.delta_occupied) for d in rising])
     occupied_first = first([Thresholds(config.delta_free, d) for d in rising])
-    return Release(
+    return SufficientThresholds(
         step,
         None if free_first is None else rising[free_first],
         None if occupied_first is None else rising[occupied_first],

@@ -180,7 +180,7 @@ def _text(result: Comparison) -> list[str | Command | pl.DataFrame]:
         if m.only_candidate or m.only_reference:
             sure = f"{p_value(m.p)}, Holm: {p_value(saving.success_p_holm)}"
             shown.append(
-                f"Mapped by {saving.group} alone: {m.only_candidate}, by {result.baseline} alone: "
+                f"Mapped only by {saving.group}: {m.only_candidate}, only by {result.baseline}: "
                 f"{m.only_reference} (McNemar, exact: {sure})"
             )
     if result.all_alike is not None:

@@ -25,8 +25,8 @@ from mapreplay.files import write_whole
 from mapreplay.text import printable, shell_command
 
 if TYPE_CHECKING:
-    from mapreplay.analysis.diagnosis.claims import Claims
     from mapreplay.analysis.diagnosis.diagnosis import Diagnosis
+    from mapreplay.analysis.diagnosis.reliability import Reliability
 
 FEW = 10
 """Logs of which each gets its paragraph; of more only the tables are shown."""
@@ -41,7 +41,7 @@ def diagnose(
     ] = None,
     save: Annotated[
         bool,
-        typer.Option("--save/--no-save", help="Put each diagnosis beside its log, as JSON."),
+        typer.Option("--save/--no-save", help="Save each diagnosis next to its log, as JSON."),
     ] = True,
     form: FormatOption = Format.TABLE,
     output: OutputOption = None,
@@ -54,8 +54,8 @@ def diagnose(
     """
     check_outputs(output, html, force=force)
     form = _form(form, output)
-    from mapreplay.analysis.diagnosis.corpus import corpus_claims
-    from mapreplay.analysis.diagnosis.frame import sealing_frame
+    from mapreplay.analysis.diagnosis.corpus import pooled_reliability
+    from mapreplay.analysis.diagnosis.sealing_table import sealing_table
 
     diagnoses, lost = _diagnose(paths, where)
     if not diagnoses:
@@ -72,8 +72,8 @@ def diagnose(
         note(f"written: {html}")
     if form in (Format.CSV, Format.PARQUET):
         emit(
-            sealing_frame(list(map(printable, diagnoses)), found),
-            "mapreplay.sealings/1",
+            sealing_table(list(map(printable, diagnoses)), found),
+            "mapreplay.sealings/2",
             form,
             output,
             force=force,
@@ -81,9 +81,9 @@ def diagnose(
     elif form is Format.JSON:
         _emit_json(diagnoses, output, force=force)
     else:
-        claims = corpus_claims(found)
+        reliability = pooled_reliability(found)
         if len(diagnoses) <= FEW:
-            say("\n\n".join(_told(file, d, claims) for file, d in diagnoses.items()))
+            say("\n\n".join(_told(file, d, reliability) for file, d in diagnoses.items()))
         if len(diagnoses) > 1:
             _print_tables(found)
         if len(diagnoses) > FEW:
@@ -131,13 +131,13 @@ def _diagnose(paths: list[Path], where: list[str] | None) -> tuple[dict[str, Dia
 
 
 def _save(diagnoses: dict[str, Diagnosis]) -> None:
-    """Beside each log; a folder that cannot be written to is named once."""
-    from mapreplay.analysis.diagnosis.record import record_of, save_beside
+    """Next to each log; a folder that cannot be written to is named once."""
+    from mapreplay.analysis.diagnosis.record import record_of, save_next_to
 
     problems = []
     for file, diagnosis in diagnoses.items():
         try:
-            save_beside(Path(file), record_of(diagnosis))
+            save_next_to(Path(file), record_of(diagnosis))
         except MapreplayError as error:
             problems.append(str(error))
     if problems:
@@ -146,12 +146,14 @@ def _save(diagnoses: dict[str, Diagnosis]) -> None:
 
 
 def _emit_json(diagnoses: dict[str, Diagnosis], output: Path | None, *, force: bool) -> None:
-    from mapreplay.analysis.diagnosis.corpus import corpus_claims, corpus_record
+    from mapreplay.analysis.diagnosis.corpus import corpus_record, pooled_reliability
     from mapreplay.analysis.diagnosis.record import record_of, to_json
 
     found = list(diagnoses.values())
-    claims = corpus_claims(found)
-    records = [{"file": printable(file)} | record_of(d, claims) for file, d in diagnoses.items()]
+    reliability = pooled_reliability(found)
+    records = [
+        {"file": printable(file)} | record_of(d, reliability) for file, d in diagnoses.items()
+    ]
     if len(records) == 1:
         data = to_json(records[0])
     else:
@@ -168,11 +170,11 @@ def _emit_json(diagnoses: dict[str, Diagnosis], output: Path | None, *, force: b
         say(data.decode().removesuffix("\n"))
 
 
-def _told(file: str, diagnosis: Diagnosis, claims: Claims) -> str:
+def _told(file: str, diagnosis: Diagnosis, reliability: Reliability) -> str:
     """For a terminal; a command at the end stands on a line of its own, to be copied."""
     from mapreplay.analysis.diagnosis.paragraph import paragraph, what_if
 
-    said = printable(paragraph(diagnosis, claims))
+    said = printable(paragraph(diagnosis, reliability))
     lines = textwrap.fill(said, WIDTH, break_long_words=False, break_on_hyphens=False)
     command = what_if(diagnosis, Path(file))
     return f"{lines}\n  What if: {shell_command(command)}" if command else lines

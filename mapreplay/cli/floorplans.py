@@ -80,9 +80,10 @@ def floorplans(
         )
         emit(frame, "mapreplay.floorplans/1", form, output, text=text, force=force)
     if preview and plans:
-        from mapreplay.floorplans.preview import contact_sheet, encode_png
+        from mapreplay.floorplans.preview import contact_sheet
+        from mapreplay.pictures import png_of
 
-        write_whole(preview, encode_png(contact_sheet(plans)), force=force)
+        write_whole(preview, png_of(contact_sheet(plans)), force=force)
         note(f"drawn: {preview}")
     total = len(wanted) - len(selection.missing) if wanted is not None else len(source.ids())
     if total > len(selection.ids):

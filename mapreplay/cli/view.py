@@ -144,8 +144,8 @@ def _step(step: int, logs: list[EpisodeLog]) -> int:
 
 def _diagnosed(logs: list[EpisodeLog], chosen: list[int]) -> tuple[list[list[Mark]], int | None]:
     """The marks of each log whose maps are shown, and the step of the first sealing."""
+    from mapreplay.analysis.diagnosis.annotations import marks_of
     from mapreplay.analysis.diagnosis.diagnosis import diagnose
-    from mapreplay.analysis.diagnosis.marks import marks_of
 
     found = [diagnose(logs[number]) for number in chosen]
     for number, diagnosis in zip(chosen, found, strict=True):

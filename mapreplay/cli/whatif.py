@@ -33,7 +33,7 @@ MAX_COUNT: Final = 200
 COLUMNS: Final = 8
 """Of the heat map in a terminal."""
 FINE: Final = 99
-"""Thresholds that are tried to find out which would have left a way on: .01, .02, ..., .99, 1."""
+"""Thresholds that are tried for one that would have left a frontier: .01, .02, ..., .99, 1."""
 
 
 def whatif(
@@ -53,7 +53,7 @@ def whatif(
     """Try other thresholds on a log, open loop.
 
     Fuses its predictions again: F1 and coverage for every pair of thresholds, when the agent
-    would have been sealed in, and when released. The trajectory stays as it was: `branch` runs
+    would have been sealed in, and when freed. The trajectory stays as it was: `branch` runs
     the episode on.
     """
     check_outputs(output, plot, force=force)
@@ -78,7 +78,7 @@ def whatif(
     logged = opened.header.at(at).config
     heat = _heat(result, at, logged.delta_free, logged.delta_occupied)
     text: list[str | Command | pl.DataFrame] = [*_story(opened, at), "", *heat]
-    emit(frame, "mapreplay.whatif/1", form, output, text=text, force=force)
+    emit(frame, "mapreplay.whatif/2", form, output, text=text, force=force)
     end_with([opened])
 
 
@@ -102,8 +102,8 @@ def _values(option: str, text: str) -> list[float]:
 
 
 def _story(log: EpisodeLog, step: int) -> list[str | Command | pl.DataFrame]:
-    """What the logged thresholds meant, and which would have left a way on."""
-    from mapreplay.analysis.whatif.grid import release, what_if
+    """What the logged thresholds meant, and which would have left a frontier."""
+    from mapreplay.analysis.whatif.grid import sufficient_thresholds, what_if
 
     config = log.header.at(step).config
     as_logged = what_if(log, [config.delta_free], [config.delta_occupied])
@@ -117,10 +117,10 @@ def _story(log: EpisodeLog, step: int) -> list[str | Command | pl.DataFrame]:
         ),
     ]
     if course.sealed is None:
-        return [*lines, "The agent is never sealed in by these."]
-    until = "" if course.released is None else f", released at step {course.released}"
+        return [*lines, "With these the agent is never sealed in."]
+    until = "" if course.freed is None else f", freed at step {course.freed}"
     lines.append(f"It is sealed in at step {course.sealed}{until}.")
-    found = release(log, course.sealed, [k / (FINE + 1) for k in range(1, FINE + 2)])
+    found = sufficient_thresholds(log, course.sealed, [k / (FINE + 1) for k in range(1, FINE + 2)])
     ways = [
         f"{name} of {value} or more"
         for name, value in (
@@ -129,14 +129,14 @@ def _story(log: EpisodeLog, step: int) -> list[str | Command | pl.DataFrame]:
         if value is not None
     ]  # fmt: skip
     if not ways:
-        return [*lines, "No other single threshold would have left a way on there."]
-    lines.append(f"A {' or a '.join(ways)}, the other as it was, would have left a way on there.")
+        return [*lines, "No other value of one threshold would have left a frontier there."]
+    lines.append(f"A {' or a '.join(ways)}, the other as logged, would have left a frontier there.")
     name, value = (
         ("delta-occupied", found.delta_occupied)
         if found.delta_occupied is not None
         else ("delta-free", found.delta_free)
     )
-    lines.append("Run it on with that, closed loop:")
+    lines.append("To continue the episode with that, closed loop:")
     lines.append(
         Command(["mapreplay", "branch", log.path, "--at", str(course.sealed),
                  "--with", f"{name}={value}"])

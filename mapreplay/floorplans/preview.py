@@ -9,30 +9,26 @@ from typing import Final, Literal, TypeAlias
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from mapreplay.errors import UsageError
 from mapreplay.floorplan import FloorPlan, explorable
 from mapreplay.grid import FREE, OCCUPIED, Mask
-
-Picture: TypeAlias = npt.NDArray[np.uint8]
-"""uint8[H, W, 3]: blue, green, red; row 0 on top."""
+from mapreplay.pictures import Picture
 
 Scale: TypeAlias = Literal["fit", "same"]
 """``fit``: each map fills its tile; ``same``: all have as many pixels a metre."""
 
 MAX_PICTURE_PIXELS: Final = 100_000_000
 
-# Blue, green, red.
-_PAPER: Final = (244, 242, 240)
-_INK: Final = (48, 40, 34)
-_FAINT_INK: Final = (124, 116, 110)
-_WALL: Final = (62, 48, 38)
-_SOLID: Final = (220, 210, 202)
+_PAPER: Final = (240, 242, 244)
+_INK: Final = (34, 40, 48)
+_FAINT_INK: Final = (110, 116, 124)
+_WALL: Final = (38, 48, 62)
+_SOLID: Final = (202, 210, 220)
 _FREE: Final = (255, 255, 255)
-_CLOSED: Final = (240, 246, 250)
+_CLOSED: Final = (250, 246, 240)
 _UNKNOWN: Final = (178, 178, 178)
-_START: Final = (52, 72, 226)
+_START: Final = (226, 72, 52)
 
 _FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 _GAP: Final = 16
@@ -75,7 +71,7 @@ def contact_sheet(
         scale: ``fit`` or ``same``.
 
     Returns:
-        uint8[H, W, 3] in OpenCV's order of colours.
+        The sheet, uint8[h, w, 3].
 
     Raises:
         UsageError: no plans, sizes out of range, or a picture of over 100 megapixels.
@@ -114,12 +110,6 @@ def contact_sheet(
         cv2.circle(sheet, centre, _DOT, _START, cv2.FILLED, cv2.LINE_AA)
         _caption(sheet, plan, top + tile_pixels, left, tile_pixels)
     return sheet
-
-
-def encode_png(picture: Picture) -> bytes:
-    """The picture as a PNG file."""
-    _, data = cv2.imencode(".png", picture)
-    return data.tobytes()
 
 
 def _columns(tiles: int) -> int:

@@ -14,8 +14,8 @@ from PIL import Image
 
 from mapreplay.errors import LogError, WriteError
 from mapreplay.files import whole_path
+from mapreplay.pictures import Picture, png_of
 from mapreplay.recorders.pictures.dashboard import Film
-from mapreplay.recorders.pictures.painter import Picture
 from mapreplay.recorders.pictures.palette import (
     CELL_COLOURS,
     CURVE_COLOURS,
@@ -32,12 +32,6 @@ _LAST_SECONDS: Final = 2.0
 """How long a film rests on its last frame before it begins again."""
 
 
-def png_bytes(picture: Picture) -> bytes:
-    """The picture as a PNG file."""
-    _, data = cv2.imencode(".png", picture[..., ::-1])
-    return data.tobytes()
-
-
 def save_png(path: Path, film: Film, step: int, *, force: bool = False) -> None:
     """Write one step as PNG.
 
@@ -46,7 +40,7 @@ def save_png(path: Path, film: Film, step: int, *, force: bool = False) -> None:
         ExistsError, WriteError: see `mapreplay.files.whole_path`.
     """
     with whole_path(path, force=force) as draft:
-        draft.write_bytes(png_bytes(film.frame(step)))
+        draft.write_bytes(png_of(film.frame(step)))
 
 
 def save_gif(path: Path, film: Film, every: int = 1, *, force: bool = False) -> None:

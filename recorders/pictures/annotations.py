@@ -1,6 +1,6 @@
-"""Marks: cells of the map that somebody points at, over some steps, and why.
+"""Marks: cells of the map that are pointed at, over some steps, and why.
 
-An analysis makes them (the wall that sealed the agent in, the doorway that it closed), and the
+An analysis makes them (the wall that sealed the agent in, the opening that it closed), and the
 viewer and the pictures draw them, whatever they are.
 """
 
@@ -18,7 +18,7 @@ class Mark:
     """Cells to be pointed at."""
 
     name: str
-    """What they are, in a word: "culprit", "doorway"; marks of a name share a colour."""
+    """What they are, in a word: "blocking cell", "opening"; marks of a name share a colour."""
     first_step: int
     last_step: int
     """Shown from `first_step` to this one, both included."""

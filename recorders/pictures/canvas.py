@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import ImageFont
 
-from mapreplay.recorders.pictures.painter import Picture
+from mapreplay.pictures import Picture
 from mapreplay.recorders.pictures.palette import Colour
 from mapreplay.text import printable
 

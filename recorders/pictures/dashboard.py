@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from mapreplay.errors import UsageError
 from mapreplay.grid import Cell
+from mapreplay.pictures import Picture
 from mapreplay.recorders.pictures.annotations import Mark, shown_at
 from mapreplay.recorders.pictures.canvas import Sheet
 from mapreplay.recorders.pictures.layers import (
@@ -30,7 +31,7 @@ from mapreplay.recorders.pictures.layers import (
     three_digits,
 )
 from mapreplay.recorders.pictures.legend import LINE, draw_legend, entries, lines_of
-from mapreplay.recorders.pictures.painter import MapPainter, Picture
+from mapreplay.recorders.pictures.painter import MapPainter
 from mapreplay.recorders.pictures.palette import (
     CURVE_COLOURS,
     EPISODE_COLOURS,
@@ -100,7 +101,7 @@ class Filmed:
             {curve: np.array(values, np.float64) for curve, values in scores.items()},
             states,
             events,
-            MapPainter.of(log.header),
+            MapPainter(log.header),
         )
 
     @property

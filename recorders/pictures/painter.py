@@ -1,6 +1,6 @@
 """A step's maps as pictures, without a viewer: the same cells and colours as in Rerun.
 
-painter = MapPainter.of(log.header)
+painter = MapPainter(log.header)
 rgb = painter.draw(MapView.FUSED, log[60], 480, 480, track=track, marks=marks)
 """
 
@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Self, TypeAlias
+from typing import Final
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from mapreplay.floorplan import explorable
-from mapreplay.grid import Mask
+from mapreplay.pictures import Picture
 from mapreplay.recorders.pictures.annotations import Mark, mark_colours, shown_at
 from mapreplay.recorders.pictures.layers import (
     MapView,
@@ -39,9 +38,6 @@ from mapreplay.recorders.pictures.palette import (
 )
 from mapreplay.step import Cells, EpisodeHeader, Step
 
-Picture: TypeAlias = npt.NDArray[np.uint8]
-"""uint8[h, w, 3]: red, green, blue; row 0 on top."""
-
 _SHIFT: Final = 4
 """OpenCV's coordinates are fixed-point numbers with so many bits behind the point."""
 _WHOLE_FROM: Final = 12.0
@@ -53,13 +49,6 @@ class MapPainter:
     """Draws the maps of one episode."""
 
     header: EpisodeHeader
-    region: Mask
-    """bool[H, W]: the explorable cells."""
-
-    @classmethod
-    def of(cls, header: EpisodeHeader) -> Self:
-        """A painter of the episode with this header."""
-        return cls(header, explorable(header.floor_plan.cells, header.start))
 
     def cells(self, view: MapView, step: Step) -> Picture:
         """uint8[H, W, 3]: one pixel a cell, row 0 on top, nothing drawn over it.
@@ -74,7 +63,7 @@ class MapPainter:
             levels = display_probability(step.p_wall)
             return np.asarray(viridis()[levels[::-1]], np.uint8)
         if view is MapView.ERROR:
-            classes = error_classes(step.fused, plan.cells, self.region)
+            classes = error_classes(step.fused, plan.cells, self.header.explorable)
         else:
             maps = {
                 MapView.OBSERVED: step.observed,

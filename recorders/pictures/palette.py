@@ -127,7 +127,7 @@ STATE_COLOURS: Final[dict[State, Colour]] = {
 
 @dataclass(frozen=True)
 class Theme:
-    """The colours around the maps, which are the same on dark and on light paper."""
+    """The colours around the maps, whose own colours are the same on dark and on light paper."""
 
     name: str
     paper: Colour
@@ -141,6 +141,14 @@ class Theme:
 LIGHT: Final = Theme("light", (255, 255, 255), (28, 30, 34), (98, 104, 114), (208, 212, 218))
 DARK: Final = Theme("dark", (17, 19, 23), (236, 238, 242), (156, 162, 172), (58, 62, 70))
 THEMES: Final = {theme.name: theme for theme in (LIGHT, DARK)}
+PAGE: Final = Theme("light", (252, 252, 250), (29, 33, 38), (93, 102, 112), (213, 216, 219))
+PAGE_DARK: Final = Theme("dark", (21, 24, 28), (228, 231, 234), (154, 164, 174), (58, 65, 72))
+"""Of figures on a page of a report, as in its style sheet (`analysis/reporting/page.css`)."""
+
+
+def hex_of(colour: Colour) -> str:
+    """``#e69f00``: as matplotlib, SVG and CSS write a colour."""
+    return "#{:02x}{:02x}{:02x}".format(*colour)
 
 
 @lru_cache(maxsize=1)

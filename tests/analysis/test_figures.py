@@ -9,7 +9,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
-from mapreplay.analysis.reporting.figures import Theme, label, render
+from mapreplay.analysis.reporting.figures import label, render
+from mapreplay.recorders.pictures.palette import Theme
 from mapreplay.text import printable
 
 

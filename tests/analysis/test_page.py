@@ -13,17 +13,17 @@ from mapreplay.analysis.reporting.page import (
     Card,
     Code,
     Columns,
-    Command,
+    CommandLine,
     Details,
     Facts,
     Heading,
+    Illustration,
     Items,
     Link,
     Note,
     Numbers,
     Page,
     Paragraph,
-    Picture,
     Table,
 )
 from mapreplay.text import printable
@@ -67,11 +67,11 @@ def everything(word: str) -> list[Block]:
         Paragraph(word, Code(word), Link(word, word)),
         Note(word),
         Items([[word], [Code(word)]]),
-        Command(word),
+        CommandLine(word),
         Numbers([(word, word)]),
         Facts([(word, Code(word))]),
         table,
-        Picture(PNG, alt=word, caption=word, dark=SVG),
+        Illustration(PNG, alt=word, caption=word, dark=SVG),
         Columns([Paragraph(word), Card([table])]),
         Details(word, [Paragraph(word)]),
     ]
@@ -124,10 +124,10 @@ def test_a_row_that_does_not_fit_is_refused() -> None:
 
 
 def test_pictures_for_light_and_dark_are_embedded() -> None:
-    read = Reader(Picture(PNG, "a map", dark=SVG).html())
+    read = Reader(Illustration(PNG, "a map", dark=SVG).html())
     attributes = dict(read.attributes)
     assert attributes["src"].startswith("data:image/png;base64,")
     assert attributes["srcset"].startswith("data:image/svg+xml;base64,")
     assert attributes["alt"] == "a map"
     with pytest.raises(ValueError, match="PNG or SVG"):
-        Picture(b"GIF89a", "none").html()
+        Illustration(b"GIF89a", "none").html()

@@ -9,9 +9,9 @@ import pytest
 from drawing import plan
 from fakes import FixedPredictor, NoisyPredictor
 from mapreplay import mapping, scores
-from mapreplay.analysis.reporting.figures import DARK, render
+from mapreplay.analysis.reporting.figures import render
 from mapreplay.analysis.whatif.figure import HeatMap
-from mapreplay.analysis.whatif.grid import release, what_if, what_if_frame
+from mapreplay.analysis.whatif.grid import sufficient_thresholds, what_if, what_if_frame
 from mapreplay.config import EpisodeConfig
 from mapreplay.episode import prepare_episode, run_episode
 from mapreplay.errors import LogError, UsageError
@@ -19,6 +19,7 @@ from mapreplay.grid import Grid
 from mapreplay.mapping import Thresholds
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.writer import EpisodeWriter
+from mapreplay.recorders.pictures.palette import PAGE_DARK
 from mapreplay.stages import look_around
 from recordings import record, three_rooms, two_rooms
 
@@ -85,14 +86,14 @@ def test_the_thresholds_of_the_episode_give_what_was_logged() -> None:
     assert result.f1[:, 0, 0].tolist() == [step.metrics.f1 for step in log]
     assert result.coverage[:, 0, 0].tolist() == [step.metrics.coverage_fused for step in log]
     course = result.course(0, 0)
-    assert (course.sealed, course.released, course.sealed_steps) == (10, None, 1)
+    assert (course.sealed, course.freed, course.sealed_steps) == (10, None, 1)
     assert len(log) - 1 == 10  # where the episode ended, sealed in
 
 
 def test_release_finds_the_least_change_that_leaves_a_way_on() -> None:
     log = EpisodeLog(SEALED)
     deltas = [k / 100 for k in range(1, 101)]
-    found = release(log, 10, deltas)
+    found = sufficient_thresholds(log, 10, deltas)
     assert found.delta_occupied == 0.76
     config = log.header.config
     result = what_if(log, [config.delta_free], [0.75, 0.76])
@@ -100,7 +101,7 @@ def test_release_finds_the_least_change_that_leaves_a_way_on() -> None:
     assert found.delta_free == 0.9
     result = what_if(log, [0.89, 0.9], [config.delta_occupied])
     assert result.sealed[10, :, 0].tolist() == [True, False]
-    assert release(log, 10, [0.5]).delta_occupied is None
+    assert sufficient_thresholds(log, 10, [0.5]).delta_occupied is None
 
 
 def test_a_stricter_threshold_never_seals_in_who_had_a_way_on(log: EpisodeLog) -> None:
@@ -128,14 +129,14 @@ def test_the_heat_map_is_a_picture_and_the_same_one_each_time(log: EpisodeLog) -
     png = render(picture, (6, 3), form="png")
     assert png.startswith(b"\x89PNG")
     assert png == render(picture, (6, 3), form="png")
-    assert png != render(picture, (6, 3), DARK, form="png")
+    assert png != render(picture, (6, 3), PAGE_DARK, form="png")
     assert render(picture, (6, 3)) == render(picture, (6, 3))
 
 
 def test_what_makes_no_sense_is_refused(log: EpisodeLog, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="delta-free: thresholds must be above 0 and at most 1"):
         what_if(log, [0.0], [0.5])
-    with pytest.raises(UsageError, match="delta-occupied: a threshold is there twice"):
+    with pytest.raises(UsageError, match="delta-occupied: a threshold is repeated"):
         what_if(log, [0.5], [0.5, 0.5])
     without = EpisodeLog(record(tmp_path, three_rooms(max_steps=2)).path)
     with pytest.raises(LogError, match="no step has a prediction"):

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from drawing import draw, find
-from mapreplay.analysis.diagnosis.culprits import Culprits, find_culprits
-from mapreplay.analysis.diagnosis.doorway import Doorway, find_doorway, truly_inside
+from mapreplay.analysis.diagnosis.blocking import BlockingCells, find_blocking_cells
+from mapreplay.analysis.diagnosis.opening import Opening, find_opening, truly_inside
 from mapreplay.analysis.diagnosis.reach import hidden, reached
 from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid
 
@@ -31,12 +31,12 @@ class Belief:
     fused: Grid
     agent: Cell
 
-    def culprits(self) -> Culprits | None:
-        return find_culprits(self.truth, self.observed, self.fused, self.agent)
+    def blocking(self) -> BlockingCells | None:
+        return find_blocking_cells(self.truth, self.observed, self.fused, self.agent)
 
-    def doorway(self) -> Doorway | None:
+    def opening(self) -> Opening | None:
         inside = truly_inside(self.truth, reached(self.fused, self.agent), self.agent)
-        return find_doorway(self.truth, inside, hidden(self.truth, self.fused, self.agent))
+        return find_opening(self.truth, inside, hidden(self.truth, self.fused, self.agent))
 
 
 def belief(truth: str, believed: str) -> Belief:

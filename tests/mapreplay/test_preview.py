@@ -7,8 +7,9 @@ from drawing import plan
 from mapreplay.errors import UsageError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.floorplans import preview
-from mapreplay.floorplans.preview import Picture, contact_sheet
+from mapreplay.floorplans.preview import contact_sheet
 from mapreplay.floorplans.procedural import generate
+from mapreplay.pictures import Picture
 
 ROOM = """
     ########

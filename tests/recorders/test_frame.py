@@ -13,12 +13,12 @@ import pytest
 
 from mapreplay.errors import UsageError
 from mapreplay.external import ExternalEpisode, unknown_floor_plan
+from mapreplay.pictures import Picture, png_of
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.recorders.pictures.animation import few_colours
 from mapreplay.recorders.pictures.annotations import Mark
 from mapreplay.recorders.pictures.dashboard import Film, Filmed
-from mapreplay.recorders.pictures.painter import Picture
 from mapreplay.recorders.pictures.palette import CELL_COLOURS, DARK, LIGHT, YELLOW, Theme
 from recordings import record, two_rooms
 
@@ -31,7 +31,9 @@ SIZE = (960, 540)
 def rooms(tmp_path_factory: pytest.TempPathFactory) -> Filmed:
     """Nine steps in a map of 12 x 12 cells, with a mark from step 2 to 5."""
     log = EpisodeLog(record(tmp_path_factory.mktemp("rooms"), two_rooms()).path)
-    mark = Mark("culprit", 2, 5, np.array([[6, 2], [6, 3]], np.int32), "this wall is not there")
+    mark = Mark(
+        "blocking cell", 2, 5, np.array([[6, 2], [6, 3]], np.int32), "this wall is not there"
+    )
     return Filmed.of(log, [mark])
 
 
@@ -46,7 +48,7 @@ def check(picture: Picture, name: str) -> None:
     path = GOLDEN / f"{name}.png"
     if os.environ.get("MAPREPLAY_RENEW"):
         path.parent.mkdir(exist_ok=True)
-        cv2.imwrite(str(path), picture[..., ::-1])
+        path.write_bytes(png_of(picture))
     golden = cv2.imread(str(path))
     assert golden is not None
     assert picture.shape == golden.shape

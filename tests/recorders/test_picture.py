@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 
 from drawing import draw
 from mapreplay.episode import Episode, run_episode
+from mapreplay.pictures import Picture
 from mapreplay.recorders.pictures.annotations import Mark, mark_colours, shown_at
 from mapreplay.recorders.pictures.layers import MapView
-from mapreplay.recorders.pictures.painter import MapPainter, Picture, enlarge
+from mapreplay.recorders.pictures.painter import MapPainter, enlarge
 from mapreplay.recorders.pictures.palette import (
     AGENT_COLOUR,
     CELL_COLOURS,
@@ -37,7 +38,7 @@ def steps(episode: Episode) -> list[Step]:
 
 @pytest.fixture
 def painter(episode: Episode) -> MapPainter:
-    return MapPainter.of(episode.header)
+    return MapPainter(episode.header)
 
 
 def drawn(picture: Picture) -> str:
@@ -121,7 +122,10 @@ def test_the_agent_its_plan_and_the_frontier_are_on_their_cells(
 def test_marks_are_drawn_at_their_steps_where_they_can_be_judged(
     painter: MapPainter, steps: list[Step], view: MapView
 ) -> None:
-    marks = [mark("culprit", (9, 9), first=2, last=3), mark("doorway", (2, 9), first=3, last=5)]
+    marks = [
+        mark("blocking cell", (9, 9), first=2, last=3),
+        mark("doorway", (2, 9), first=3, last=5),
+    ]
     first, second = MARK_COLOURS[:2]
     for step in steps[:7]:
         picture = painter.draw(view, step, 480, 480, marks=marks)

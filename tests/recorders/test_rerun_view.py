@@ -283,9 +283,9 @@ def test_marks_are_sent_on_their_cells_while_they_are_shown(
     """Row 0 of a picture is on top: a mark in the lowest row has the largest y."""
     last, height = steps[-1].index, episode.header.floor_plan.shape[0]
     marks = [
-        Mark("culprit", 2, 4, np.array([[0, 3], [1, 3]], np.int32), "walls"),
+        Mark("blocking cell", 2, 4, np.array([[0, 3], [1, 3]], np.int32), "walls"),
         Mark("doorway", 3, last, np.array([[height - 1, 5]], np.int32), "a door"),
-        Mark("culprit", last + 1, last + 1, np.array([[1, 1]], np.int32), "too late"),
+        Mark("blocking cell", last + 1, last + 1, np.array([[1, 1]], np.int32), "too late"),
     ]
     save_rrd(tmp_path / "x.rrd", [Replay(episode.header, steps, marks)])
     recorded = read(tmp_path / "x.rrd")
@@ -295,11 +295,11 @@ def test_marks_are_sent_on_their_cells_while_they_are_shown(
         5: [],
     }
     assert recorded["/marks/0:Boxes2D:half_sizes"] == {2: [[0.5, 0.5]] * 2, 5: []}
-    assert recorded["/marks/0:Boxes2D:labels"] == {-1: ["culprit: walls"]}
+    assert recorded["/marks/0:Boxes2D:labels"] == {-1: ["blocking cell: walls"]}
     assert recorded["/marks/1:Boxes2D:centers"] == {3: [[5.5, 0.5]]}
     assert not any(name.startswith("/marks/2") for name in recorded)
-    culprit, doorway = (recorded[f"/marks/{i}:Boxes2D:colors"][-1] for i in (0, 1))
-    assert culprit != doorway
+    blocking_cell, opening = (recorded[f"/marks/{i}:Boxes2D:colors"][-1] for i in (0, 1))
+    assert blocking_cell != opening
 
 
 def view_names(path: Path) -> set[str]:

@@ -14,20 +14,20 @@ from hypothesis import strategies as st
 
 from beliefs import belief
 from drawing import draw
+from mapreplay.analysis.diagnosis.annotations import marks_of
 from mapreplay.analysis.diagnosis.blame import trace_blame
-from mapreplay.analysis.diagnosis.claims import Claims
 from mapreplay.analysis.diagnosis.corpus import corpus_record, costs, groups, kind_counts
 from mapreplay.analysis.diagnosis.detect import Ending, NearMissKind, runs
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, diagnose
-from mapreplay.analysis.diagnosis.frame import sealing_frame
 from mapreplay.analysis.diagnosis.harms import HarmDetector, HarmKind
-from mapreplay.analysis.diagnosis.marks import marks_of
 from mapreplay.analysis.diagnosis.page import diagnosis_page
 from mapreplay.analysis.diagnosis.paragraph import paragraph, what_if
-from mapreplay.analysis.diagnosis.places import passage
+from mapreplay.analysis.diagnosis.passage import passage_size
 from mapreplay.analysis.diagnosis.reach import Scratch, reached
-from mapreplay.analysis.diagnosis.record import diagnosis_path, record_of, save_beside
+from mapreplay.analysis.diagnosis.record import diagnosis_path, record_of, save_next_to
+from mapreplay.analysis.diagnosis.reliability import Reliability
 from mapreplay.analysis.diagnosis.remedy import threshold_of_free, threshold_of_walls
+from mapreplay.analysis.diagnosis.sealing_table import sealing_table
 from mapreplay.analysis.diagnosis.tables import all_tables
 from mapreplay.episode import run_episode
 from mapreplay.errors import ExistsError
@@ -51,20 +51,20 @@ def diagnosis(sealed: EpisodeLog) -> Diagnosis:
     return diagnose(sealed)
 
 
-def test_the_door_is_the_culprit_and_the_doorway(diagnosis: Diagnosis) -> None:
+def test_the_door_is_the_blocking_cell_and_the_opening(diagnosis: Diagnosis) -> None:
     assert diagnosis.outcome is Outcome.SEALED_IN
     (sealing,) = diagnosis.sealings
-    assert sealing.culprits is not None
-    assert sealing.doorway is not None
-    assert sealing.culprits.cells.tolist() == [list(DOOR)]
-    assert sealing.doorway.cells.tolist() == [list(DOOR)]
+    assert sealing.blocking is not None
+    assert sealing.opening is not None
+    assert sealing.blocking.cells.tolist() == [list(DOOR)]
+    assert sealing.opening.cells.tolist() == [list(DOOR)]
     assert sealing.kind == "closed_door"
     assert (sealing.first_step, sealing.ending, sealing.moves) == (0, Ending.FINAL, 0)
     assert sealing.inside == 25  # the left room
     assert sealing.hidden == 7 * 7  # the right room and its other walls
 
 
-def test_what_is_told_of_the_culprit(diagnosis: Diagnosis) -> None:
+def test_what_is_told_of_the_blocking_cell(diagnosis: Diagnosis) -> None:
     (blame,) = diagnosis.sealings[0].blame
     assert blame.cell == Cell(*DOOR)
     assert blame.p_wall == pytest.approx(0.99, abs=0.002)
@@ -75,9 +75,9 @@ def test_what_is_told_of_the_culprit(diagnosis: Diagnosis) -> None:
 
 def test_what_would_have_helped(diagnosis: Diagnosis) -> None:
     remedy = diagnosis.sealings[0].remedy
-    assert remedy.view is not None
-    assert (remedy.view.cell, remedy.view.moves) == (Cell(4, 5), 4)
-    assert (remedy.view.sees, remedy.view.suffices) == (1, True)
+    assert remedy.viewpoint is not None
+    assert (remedy.viewpoint.cell, remedy.viewpoint.moves) == (Cell(4, 5), 4)
+    assert (remedy.viewpoint.sees, remedy.viewpoint.suffices) == (1, True)
     assert remedy.fail_safe_moves is not None
     assert remedy.delta_occupied_above == pytest.approx(2 * 252 / 255 - 1)
 
@@ -142,10 +142,10 @@ def test_the_paragraph_says_it(diagnosis: Diagnosis) -> None:
         "was sealed in at step 0",
         "for good",
         "by 1 false wall at (3, 6)",
-        "The doorway there is 1 cell wide",
-        "taken for a wall since step 0",
-        "it was never seen",
-        "4 moves to (4, 5) would have shown 1 false wall, and let it out",
+        "The opening there is 1 cell wide",
+        "predicted to be a wall since step 0",
+        "it was never observed",
+        "4 moves to (4, 5) would have shown 1 false wall, and freed it",
     ):
         assert part in text
     assert what_if(diagnosis, PurePosixPath("a.mcap")) == [
@@ -326,7 +326,7 @@ def test_a_log_without_a_true_map(tmp_path: Path) -> None:
         writer.write(external.step((3, 3), observed, p_wall=p_wall, outcome="sealed_in"))
     found = diagnose(EpisodeLog(path))
     (sealing,) = found.sealings
-    assert sealing.culprits is None
+    assert sealing.blocking is None
     assert sealing.remedy.delta_occupied_above is not None
     assert any("no true map" in note for note in found.notes)
     assert "sealed in at step 0" in paragraph(found)
@@ -412,8 +412,8 @@ def test_width_and_length_of_a_passage() -> None:
         ###########
         """
     )
-    assert passage(house, Cell(7, 5)) == (1, 1)  # the door
-    assert passage(house, Cell(4, 4)) == (1, 4)  # the corridor
+    assert passage_size(house, Cell(7, 5)) == (1, 1)  # the door
+    assert passage_size(house, Cell(4, 4)) == (1, 4)  # the corridor
 
 
 def test_the_json_has_all_of_it(diagnosis: Diagnosis, tmp_path: Path) -> None:
@@ -421,20 +421,20 @@ def test_the_json_has_all_of_it(diagnosis: Diagnosis, tmp_path: Path) -> None:
     assert json.loads(json.dumps(record))["schema"] == "mapreplay.diagnosis/1"
     assert record["sealings"][0]["culprits"]["cells"] == [list(DOOR)]
     log = tmp_path / "x.mcap"
-    path = save_beside(log, record)
+    path = save_next_to(log, record)
     assert path == diagnosis_path(log) == tmp_path / "x.diagnosis.json"
     assert json.loads(path.read_text()) == record
-    save_beside(log, record)  # again: the same
+    save_next_to(log, record)  # again: the same
     path.write_text("mine")
     with pytest.raises(ExistsError, match="is no diagnosis"):
-        save_beside(log, record)
+        save_next_to(log, record)
 
 
-def test_marks_point_at_the_culprit_while_it_is_sealed_in(diagnosis: Diagnosis) -> None:
+def test_marks_point_at_the_blocking_cell_while_it_is_sealed_in(diagnosis: Diagnosis) -> None:
     marks = marks_of(diagnosis)
-    culprit = next(mark for mark in marks if mark.name == "culprit")
-    assert culprit.cells.tolist() == [list(DOOR)]
-    assert (culprit.first_step, culprit.last_step) == (0, 0)
+    blocking_cell = next(mark for mark in marks if mark.name == "blocking cell")
+    assert blocking_cell.cells.tolist() == [list(DOOR)]
+    assert (blocking_cell.first_step, blocking_cell.last_step) == (0, 0)
 
 
 def test_the_page_shows_map_history_and_rules(sealed: EpisodeLog, diagnosis: Diagnosis) -> None:
@@ -448,14 +448,14 @@ def test_counts_over_a_corpus(diagnosis: Diagnosis) -> None:
     whole = groups([diagnosis, diagnosis])[0]
     assert (whole.episodes, whole.sealed.count, whole.final, whole.sealings) == (2, 2, 2, 2)
     assert [row.kind for row in kind_counts([diagnosis])] == ["closed_door"]
-    frame = sealing_frame(["a"], [diagnosis])
+    frame = sealing_table(["a"], [diagnosis])
     assert frame["kind"].to_list() == ["closed_door"]
     empty = [title for title, table in all_tables([diagnosis]) if not len(table)]
-    assert empty == ["At which cost: means of an episode, with 95 % intervals"]
+    assert empty == ["Cost of being freed: means per episode, with 95 % intervals"]
 
 
-def test_what_it_cost_to_get_out(diagnosis: Diagnosis, tmp_path: Path) -> None:
-    """Only whoever got out every time is counted."""
+def test_what_it_cost_to_be_freed(diagnosis: Diagnosis, tmp_path: Path) -> None:
+    """Only episodes that were always freed are counted."""
     freed = diagnose(recorded(tmp_path / "a.mcap", episode(always(LEFT_ROOM), fail_safe=True)))
     (cost,) = costs([diagnosis, freed, freed])
     (sealing,) = freed.sealings
@@ -480,11 +480,11 @@ def test_the_order_of_the_logs_is_in_no_interval(tmp_path: Path) -> None:
     assert corpus_record(shuffled) == corpus_record(many)
 
 
-def test_claims_are_right_as_often_as_counted() -> None:
+def test_reliability_is_the_share_that_was_counted() -> None:
     counts = np.zeros((2, 50), np.int64)
     counts[:, 45] = 1, 3
-    assert Claims(counts).right(0.91) == (0.75, 4)
-    assert math.isnan(Claims(counts).right(0.5)[0])
+    assert Reliability(counts).right(0.91) == (0.75, 4)
+    assert math.isnan(Reliability(counts).right(0.5)[0])
 
 
 def test_runs_of_integers() -> None:

@@ -1,4 +1,4 @@
-"""Culprits, doorways and ways out against brute force and networkx, on small random maps."""
+"""Blocking cells, openings and ways out against brute force and networkx, on small random maps."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from beliefs import Belief
-from mapreplay.analysis.diagnosis.doorway import truly_inside
+from mapreplay.analysis.diagnosis.opening import truly_inside
 from mapreplay.analysis.diagnosis.reach import (
     Scratch,
     false_walls,
@@ -80,11 +80,11 @@ def test_a_way_out_is_a_frontier(b: Belief) -> None:
 
 @SETTINGS
 @given(beliefs())
-def test_culprits_are_a_smallest_of_all_subsets(b: Belief) -> None:
+def test_blocking_cells_are_a_smallest_of_all_subsets(b: Belief) -> None:
     assume(not has_frontier(b.fused, b.agent))
     wrong = [tuple(cell) for cell in np.argwhere(false_walls(b.truth, b.observed, b.fused))]
     assume(len(wrong) <= 12)
-    found = b.culprits()
+    found = b.blocking()
     solutions: list[set[tuple[int, int]]] = []
     for size in range(1, len(wrong) + 1):
         for chosen in combinations(wrong, size):
@@ -106,19 +106,19 @@ def test_culprits_are_a_smallest_of_all_subsets(b: Belief) -> None:
 
 @SETTINGS
 @given(beliefs())
-def test_the_culprits_exist_where_something_is_hidden(b: Belief) -> None:
+def test_the_blocking_cells_exist_where_something_is_hidden(b: Belief) -> None:
     assume(not has_frontier(b.fused, b.agent))
     if hidden(b.truth, b.fused, b.agent).any():
-        assert b.culprits() is not None
+        assert b.blocking() is not None
 
 
 @SETTINGS
 @given(beliefs())
-def test_the_doorway_is_a_minimum_cut(b: Belief) -> None:
+def test_the_opening_is_a_minimum_cut(b: Belief) -> None:
     assume(not has_frontier(b.fused, b.agent))
     unseen = hidden(b.truth, b.fused, b.agent)
     inside = truly_inside(b.truth, reached(b.fused, b.agent), b.agent)
-    found = b.doorway()
+    found = b.opening()
     graph = graph_of(b.truth)
     within = {(int(r), int(c)) for r, c in np.argwhere(inside)}
     goals = (near(unseen) & set(graph)) - within

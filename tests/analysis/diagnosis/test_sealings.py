@@ -1,6 +1,6 @@
-"""Sealings whose culprits and doorway a reader can see.
+"""Sealings whose blocking cells and opening a reader can see.
 
-In `answer`, `C` is a culprit, `D` a cell of the doorway, `B` both. Where several sets are
+In `answer`, `C` is a blocking cell, `D` a cell of the opening, `B` both. Where several sets are
 smallest, all of their cells are drawn.
 """
 
@@ -23,10 +23,10 @@ class Drawn:
     believed: str
     answer: str
     fewest: int = 1
-    """False walls to set right."""
+    """False walls to correct."""
     exits: int = 1
     parts: int = 1
-    """Of the doorway."""
+    """Of the opening."""
 
 
 SEALINGS = {
@@ -53,7 +53,7 @@ SEALINGS = {
         ...........
         """,
     ),
-    "a wide door: any of its cells lets out, all of them are the doorway": Drawn(
+    "a wide door: any of its cells is a way out, all of them are the opening": Drawn(
         """
         #########
         #...#...#
@@ -128,7 +128,7 @@ SEALINGS = {
         ............
         """,
     ),
-    "a wall two cells thick: two culprits in a row, a doorway of one": Drawn(
+    "a wall two cells thick: two blocking cells in a row, a opening of one": Drawn(
         """
         ############
         #..........#
@@ -197,7 +197,7 @@ SEALINGS = {
         exits=2,
         parts=2,
     ),
-    "a culprit that is itself the frontier": Drawn(
+    "a blocking cell that is itself the frontier": Drawn(
         """
         ######
         #....#
@@ -249,7 +249,7 @@ SEALINGS = {
         """,
         fewest=2,
     ),
-    "a thin wall beats a thick one, but both were the doorway": Drawn(
+    "a thin wall beats a thick one, but both were the opening": Drawn(
         """
         ###########
         #.........#
@@ -334,14 +334,14 @@ def test_the_agent_is_sealed_in(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", SEALINGS)
-def test_setting_the_culprits_right_lets_it_out(name: str) -> None:
+def test_correcting_the_blocking_cells_frees_it(name: str) -> None:
     drawn = SEALINGS[name]
     b = situation(drawn)
-    culprits = b.culprits()
-    assert culprits is not None
-    assert (len(culprits.cells), culprits.exits) == (drawn.fewest, drawn.exits)
+    blocking = b.blocking()
+    assert blocking is not None
+    assert (len(blocking.cells), blocking.exits) == (drawn.fewest, drawn.exits)
     fused = b.fused.copy()
-    for row, col in culprits.cells.tolist():
+    for row, col in blocking.cells.tolist():
         assert (fused[row, col], b.truth[row, col]) == (OCCUPIED, FREE)
         assert not Scratch(fused.shape).has_way_out(fused, b.agent)
         fused[row, col] = FREE
@@ -349,32 +349,32 @@ def test_setting_the_culprits_right_lets_it_out(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in SEALINGS if name not in NOT_DRAWN])
-def test_culprits_and_doorway_are_where_they_are_drawn(name: str) -> None:
+def test_blocking_cells_and_opening_are_where_they_are_drawn(name: str) -> None:
     drawn = SEALINGS[name]
     b = situation(drawn)
-    culprits, doorway = b.culprits(), b.doorway()
-    assert culprits is not None
-    assert doorway is not None
+    blocking, opening = b.blocking(), b.opening()
+    assert blocking is not None
+    assert opening is not None
     both = marked(drawn.answer, "B")
-    assert {tuple(cell) for cell in culprits.tied.tolist()} == marked(drawn.answer, "C") | both
-    assert {tuple(cell) for cell in doorway.cells.tolist()} == marked(drawn.answer, "D") | both
-    assert doorway.parts == drawn.parts
+    assert {tuple(cell) for cell in blocking.tied.tolist()} == marked(drawn.answer, "C") | both
+    assert {tuple(cell) for cell in opening.cells.tolist()} == marked(drawn.answer, "D") | both
+    assert opening.parts == drawn.parts
 
 
 def test_ties_are_reported() -> None:
     wide = situation(
-        SEALINGS["a wide door: any of its cells lets out, all of them are the doorway"]
+        SEALINGS["a wide door: any of its cells is a way out, all of them are the opening"]
     )
-    culprits = wide.culprits()
-    assert culprits is not None
-    assert not culprits.unique
-    closed = situation(SEALINGS["a closed door"]).culprits()
+    blocking = wide.blocking()
+    assert blocking is not None
+    assert not blocking.unique
+    closed = situation(SEALINGS["a closed door"]).blocking()
     assert closed is not None
     assert closed.unique
 
 
-def test_of_two_doorways_of_one_size_the_nearest_is_taken() -> None:
-    cut = situation(SEALINGS["a corridor that is cut"]).doorway()
+def test_of_two_openings_of_one_size_the_nearest_is_taken() -> None:
+    cut = situation(SEALINGS["a corridor that is cut"]).opening()
     assert cut is not None
     assert cut.unique  # the next cell is where something is seen
     far = belief(
@@ -389,13 +389,13 @@ def test_of_two_doorways_of_one_size_the_nearest_is_taken() -> None:
         ########????
         """,
     )
-    doorway = far.doorway()
-    assert doorway is not None
-    assert doorway.cells.tolist() == [[1, 3]]
-    assert not doorway.unique
+    opening = far.opening()
+    assert opening is not None
+    assert opening.cells.tolist() == [[1, 3]]
+    assert not opening.unique
 
 
-def test_observed_walls_are_never_culprits() -> None:
+def test_observed_walls_are_never_blocking_cells() -> None:
     b = belief(
         """
         #######
@@ -410,12 +410,12 @@ def test_observed_walls_are_never_culprits() -> None:
         ####???
         """,
     )
-    culprits = b.culprits()
-    assert culprits is not None
-    assert culprits.tied.tolist() == [[1, 3]]
+    blocking = b.blocking()
+    assert blocking is not None
+    assert blocking.tied.tolist() == [[1, 3]]
 
 
-def test_without_a_false_wall_there_is_no_culprit() -> None:
+def test_without_a_false_wall_there_is_no_blocking_cell() -> None:
     b = belief(
         """
         #####
@@ -428,14 +428,16 @@ def test_without_a_false_wall_there_is_no_culprit() -> None:
         ##W??
         """,
     )
-    assert b.culprits() is None
-    assert b.doorway() is None
+    assert b.blocking() is None
+    assert b.opening() is None
 
 
 def test_the_way_out_is_the_shortest_of_the_cheapest() -> None:
-    b = situation(SEALINGS["a wide door: any of its cells lets out, all of them are the doorway"])
-    culprits = b.culprits()
-    assert culprits is not None
-    assert len(culprits.way) == 4
-    assert culprits.way[0].tolist() == list(b.agent)
-    assert culprits.way[-1].tolist() == culprits.cells[0].tolist()
+    b = situation(
+        SEALINGS["a wide door: any of its cells is a way out, all of them are the opening"]
+    )
+    blocking = b.blocking()
+    assert blocking is not None
+    assert len(blocking.way) == 4
+    assert blocking.way[0].tolist() == list(b.agent)
+    assert blocking.way[-1].tolist() == blocking.cells[0].tolist()

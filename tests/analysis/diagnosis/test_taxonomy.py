@@ -162,8 +162,8 @@ def test_of_the_kinds_that_hold_the_first_is_taken(tmp_path: Path) -> None:
     house = HOUSES["corner_leak"]
     made = episode(always(house.predicted), truth, start=house.start)
     (sealing,) = diagnose(recorded(tmp_path / "a.mcap", made)).sealings
-    assert sealing.place is not None
-    assert (sealing.place.gap, sealing.kind) == (1, "corner_leak")
+    assert sealing.passage is not None
+    assert (sealing.passage.gap, sealing.kind) == (1, "corner_leak")
 
 
 def test_only_what_has_a_name_is_told() -> None:

@@ -1,4 +1,4 @@
-"""How often predicted probabilities are right, counted over the cells that nobody had seen."""
+"""How often predicted probabilities are right, counted over cells that were not yet observed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mapreplay.step import Step
 BINS: Final = 50
 """Of P(occupied), of equal width."""
 EVERY: Final = 10
-"""Of so many steps one is counted: the cells of successive steps are nearly the same."""
+"""Every Nth step is counted: the cells of successive steps are nearly the same."""
 
 
 def _counts() -> npt.NDArray[np.int64]:
@@ -23,17 +23,17 @@ def _counts() -> npt.NDArray[np.int64]:
 
 
 @dataclass(frozen=True, eq=False)
-class Claims:
+class Reliability:
     """Predicted cells by probability and truth."""
 
     counts: npt.NDArray[np.int64] = field(default_factory=_counts)
     """int64[2, BINS]: truly free and truly occupied cells in each bin of P(occupied)."""
 
-    def __add__(self, other: Claims) -> Claims:
-        return Claims(self.counts + other.counts)
+    def __add__(self, other: Reliability) -> Reliability:
+        return Reliability(self.counts + other.counts)
 
     def right(self, p_wall: float) -> tuple[float, int]:
-        """The share of truly occupied cells among those about as likely, and how many they are.
+        """The share of truly occupied cells among those about as likely, and the number of these.
 
         NaN if there are none.
         """
@@ -47,7 +47,7 @@ def bin_of(p_wall: float) -> int:
     return min(int(p_wall * BINS), BINS - 1)
 
 
-class ClaimCounter:
+class ReliabilityCounter:
     """Takes the steps of an episode in order."""
 
     def __init__(self, truth: Grid, region: Mask) -> None:
@@ -56,7 +56,7 @@ class ClaimCounter:
         self._counts = _counts()
 
     def take(self, step: Step) -> None:
-        """Count the explorable cells that were not observed, at one step of `EVERY`."""
+        """Count the explorable cells that were not observed, every `EVERY` steps."""
         if step.p_wall is None or step.index % EVERY:
             return
         cells = self._known & (step.observed == UNKNOWN)
@@ -65,6 +65,6 @@ class ClaimCounter:
         for row, chosen in enumerate((~self._occupied[cells], self._occupied[cells])):
             self._counts[row] += np.bincount(bins[chosen], minlength=BINS)
 
-    def result(self) -> Claims:
+    def result(self) -> Reliability:
         """After the last step."""
-        return Claims(self._counts)
+        return Reliability(self._counts)

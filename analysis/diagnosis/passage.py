@@ -1,4 +1,4 @@
-"""What the floor plan looks like at a place: how wide, how long, how much false wall."""
+"""The passage of the floor plan at a cell: its width, its length, and the false wall in it."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from mapreplay.analysis.diagnosis.culprits import Culprits
+from mapreplay.analysis.diagnosis.blocking import BlockingCells
 from mapreplay.analysis.diagnosis.reach import EIGHT, false_walls
 from mapreplay.grid import FREE, Cell, Grid
 from mapreplay.step import Step
 
 
 @dataclass(frozen=True)
-class Surroundings:
-    """The surroundings of the first culprit on the way out."""
+class Passage:
+    """The passage at the first blocking cell on the way out."""
 
     gap: int
     """Width of the passage in cells: the shorter of the true free runs through the cell along
@@ -24,7 +24,7 @@ class Surroundings:
     length: int
     """Of the passage: cells in a row, across the gap, at which it is at most one cell wider."""
     false_wall: int
-    """Cells of the false wall that the culprit belongs to (8-connected)."""
+    """Cells of the false wall that the blocking cell belongs to (8-connected)."""
     span: int
     """The longer side of its bounding box."""
     thickness: int
@@ -33,15 +33,15 @@ class Surroundings:
     """Cells (Euclidean) from the agent."""
 
 
-def place_of(truth: Grid, step: Step, culprits: Culprits) -> Surroundings:
-    """Measure the true map and the false wall at the first of `culprits.cells`."""
-    cell = Cell(*culprits.cells[0].tolist())
+def passage_at(truth: Grid, step: Step, blocking: BlockingCells) -> Passage:
+    """Measure the true map and the false wall at the first of `blocking.cells`."""
+    cell = Cell(*blocking.cells[0].tolist())
     wrong = false_walls(truth, step.observed, step.fused)
     labels, _ = ndimage.label(wrong, EIGHT)
     rows, cols = np.nonzero(labels == labels[cell])
     sides = sorted((int(np.ptp(rows)) + 1, int(np.ptp(cols)) + 1))
-    gap, length = passage(truth, cell)
-    return Surroundings(
+    gap, length = passage_size(truth, cell)
+    return Passage(
         gap=gap,
         length=length,
         false_wall=len(rows),
@@ -67,8 +67,8 @@ def widths(truth: Grid) -> npt.NDArray[np.int64]:
     return np.minimum(along_row, along_col)
 
 
-def passage(truth: Grid, cell: Cell) -> tuple[int, int]:
-    """Width and length of the passage at a free `cell`, in cells; see `Surroundings`."""
+def passage_size(truth: Grid, cell: Cell) -> tuple[int, int]:
+    """Width and length of the passage at a free `cell`, in cells; see `Passage`."""
     along_row, along_col = runs_through(truth)
     across = along_row if along_row[cell] <= along_col[cell] else along_col
     gap = int(across[cell])

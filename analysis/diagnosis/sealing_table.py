@@ -10,13 +10,13 @@ import polars as pl
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis
 
 
-def sealing_frame(files: Sequence[str], diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
-    """One row a sealing, with the file that it is in; `_SCHEMA` says what and of which type."""
+def sealing_table(files: Sequence[str], diagnoses: Sequence[Diagnosis]) -> pl.DataFrame:
+    """A row per sealing, with the file that it is in; `_SCHEMA` has the columns and their types."""
     rows = []
     for file, diagnosis in zip(files, diagnoses, strict=True):
         config = diagnosis.header.config
         for s in diagnosis.sealings:
-            view, place, doorway = s.remedy.view, s.place, s.doorway
+            viewpoint, passage, opening = s.remedy.viewpoint, s.passage, s.opening
             rows.append(
                 {
                     "file": file,
@@ -36,24 +36,24 @@ def sealing_frame(files: Sequence[str], diagnoses: Sequence[Diagnosis]) -> pl.Da
                     "correct_coverage": s.correct_coverage,
                     "inside": s.inside,
                     "hidden": s.hidden,
-                    "culprits": len(s.culprits.cells) if s.culprits else None,
-                    "tied": len(s.culprits.tied) if s.culprits else None,
-                    "exits": s.culprits.exits if s.culprits else None,
-                    "row": int(s.culprits.cells[0][0]) if s.culprits else None,
-                    "col": int(s.culprits.cells[0][1]) if s.culprits else None,
-                    "doorway": doorway.width if doorway else None,
-                    "doorway_parts": doorway.parts if doorway else None,
-                    "gap": place.gap if place else None,
-                    "gap_length": place.length if place else None,
-                    "false_wall": place.false_wall if place else None,
-                    "distance": place.distance if place else None,
+                    "blocking_cells": len(s.blocking.cells) if s.blocking else None,
+                    "tied": len(s.blocking.tied) if s.blocking else None,
+                    "exits": s.blocking.exits if s.blocking else None,
+                    "row": int(s.blocking.cells[0][0]) if s.blocking else None,
+                    "col": int(s.blocking.cells[0][1]) if s.blocking else None,
+                    "opening": opening.width if opening else None,
+                    "opening_parts": opening.parts if opening else None,
+                    "gap": passage.gap if passage else None,
+                    "gap_length": passage.length if passage else None,
+                    "false_wall": passage.false_wall if passage else None,
+                    "distance": passage.distance if passage else None,
                     "p_wall": s.blame[0].p_wall if s.blame else None,
                     "since": s.blame[0].since if s.blame else None,
                     "flickers": s.blame[0].flickers if s.blame else None,
                     "delta_occupied_above": s.remedy.delta_occupied_above,
                     "delta_free_above": s.remedy.delta_free_above,
-                    "view_moves": view.moves if view else None,
-                    "view_suffices": view.suffices if view else None,
+                    "viewpoint_moves": viewpoint.moves if viewpoint else None,
+                    "viewpoint_suffices": viewpoint.suffices if viewpoint else None,
                     "fail_safe_moves": s.remedy.fail_safe_moves,
                 }
             )
@@ -65,9 +65,9 @@ _SCHEMA: Final = {
     "file": _TEXT, "floor_plan": _TEXT, "planner": _TEXT, "predictor": _TEXT,
     "delta_occupied": _REAL, "delta_free": _REAL, "fail_safe": _BOOL, "kind": _TEXT, "step": _INT,
     "last_step": _INT, "ending": _TEXT, "moves": _INT, "metres": _REAL, "coverage": _REAL,
-    "correct_coverage": _REAL, "inside": _INT, "hidden": _INT, "culprits": _INT, "tied": _INT,
-    "exits": _INT, "row": _INT, "col": _INT, "doorway": _INT, "doorway_parts": _INT, "gap": _INT,
+    "correct_coverage": _REAL, "inside": _INT, "hidden": _INT, "blocking_cells": _INT, "tied": _INT,
+    "exits": _INT, "row": _INT, "col": _INT, "opening": _INT, "opening_parts": _INT, "gap": _INT,
     "gap_length": _INT, "false_wall": _INT, "distance": _REAL, "p_wall": _REAL, "since": _INT,
     "flickers": _INT, "delta_occupied_above": _REAL, "delta_free_above": _REAL,
-    "view_moves": _INT, "view_suffices": _BOOL, "fail_safe_moves": _INT,
+    "viewpoint_moves": _INT, "viewpoint_suffices": _BOOL, "fail_safe_moves": _INT,
 }  # fmt: skip

@@ -1,4 +1,4 @@
-"""The doorway: the narrowest place in true free space between the agent and what is hidden."""
+"""The opening: the minimum cut in true free space between the agent and what is hidden."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from mapreplay.step import Cells
 
 
 @dataclass(frozen=True, eq=False)
-class Doorway:
+class Opening:
     """A minimum vertex cut."""
 
     cells: Cells
     """int32[n, 2], row-major: the cut that is nearest to the agent."""
     parts: int
-    """Separate groups (8-connected) of these cells: how many doorways were closed at once."""
+    """Separate groups (8-connected) of these cells: how many openings were closed at once."""
     unique: bool
     """Whether there is no other cut of this size."""
 
@@ -32,11 +32,11 @@ class Doorway:
         return len(self.cells)
 
 
-def find_doorway(truth: Grid, inside: Mask, hidden: Mask) -> Doorway | None:
-    """The fewest truly free cells outside of `inside` that part it from what is hidden.
+def find_opening(truth: Grid, inside: Mask, hidden: Mask) -> Opening | None:
+    """The fewest truly free cells outside of `inside` that separate it from what is hidden.
 
-    The agent gets to see a hidden cell where it stands on it or beside it. A maximum flow
-    through truly free cells, each with room for one, from `inside` to such cells finds the
+    The agent sees a hidden cell when it stands on it or next to it. A maximum flow
+    through truly free cells, each with capacity one, from `inside` to such cells finds the
     narrowest cut; of several the one nearest to `inside`.
 
     Args:
@@ -66,7 +66,7 @@ def find_doorway(truth: Grid, inside: Mask, hidden: Mask) -> Doorway | None:
     cells = np.argwhere(np.isin(numbers, np.flatnonzero(near))).astype(np.int32)
     mask = np.zeros(truth.shape, np.bool_)
     mask[cells[:, 0], cells[:, 1]] = True
-    return Doorway(cells, int(ndimage.label(mask, EIGHT)[1]), bool((near == far).all()))
+    return Opening(cells, int(ndimage.label(mask, EIGHT)[1]), bool((near == far).all()))
 
 
 def _between(open_cells: Mask, entry: Mask, goals: Mask) -> Mask:

@@ -1,4 +1,4 @@
-"""The culprits: the fewest false walls that, set right, give the agent a way out again."""
+"""Blocking cells: the fewest false walls that have to be corrected to give the agent a way out."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _NO_PASSING: Final = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Culprits:
-    """A smallest set of false walls to set right, and all others of its size."""
+class BlockingCells:
+    """A smallest set of false walls to correct, and all others of its size."""
 
     cells: Cells
     """int32[n, 2], n >= 1, along the way out: one smallest set, that of a way with the fewest
@@ -37,8 +37,10 @@ class Culprits:
         return len(self.cells) == len(self.tied)
 
 
-def find_culprits(truth: Grid, observed: Grid, fused: Grid, agent: Cell) -> Culprits | None:
-    """The fewest false walls of `fused` that give `agent` a frontier when they are set right.
+def find_blocking_cells(
+    truth: Grid, observed: Grid, fused: Grid, agent: Cell
+) -> BlockingCells | None:
+    """The fewest false walls of `fused` that give `agent` a frontier when they are corrected.
 
     A way out runs over free cells of the fused map and false walls to a cell with an unknown
     neighbour, and costs one for each false wall that it enters; the last one may be the
@@ -51,7 +53,7 @@ def find_culprits(truth: Grid, observed: Grid, fused: Grid, agent: Cell) -> Culp
         agent: Where it is, without a frontier.
 
     Returns:
-        None if there is no such set: setting predicted walls right does not help.
+        None if there is no such set: correcting predicted walls does not help.
     """
     wrong = false_walls(truth, observed, fused)
     cost = np.where(wrong, np.int8(1), np.int8(_NO_PASSING))
@@ -73,7 +75,7 @@ def find_culprits(truth: Grid, observed: Grid, fused: Grid, agent: Cell) -> Culp
     way = fewest_moves(on_way, cost, from_agent, agent.row, agent.col, best)
     tied = on_way & wrong
     first = tied & (from_agent == 1)
-    return Culprits(
+    return BlockingCells(
         cells=way[wrong[way[:, 0], way[:, 1]]],
         tied=np.argwhere(tied).astype(np.int32),
         exits=int(ndimage.label(first, EIGHT)[1]),
