@@ -99,7 +99,7 @@ def _write_part(log: EpisodeLog, last: int, path: Path) -> None:
     with writer:
         for step in takewhile(lambda step: step.index <= last, log.steps()):
             writer.skip_to(step.index)
-            writer.write(step)
+            writer.add(step)
         if last < len(log) - 1 or not log.finished:
             writer.close_recovered()
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mapreplay.config import EpisodeConfig
-    from mapreplay.episode import prepare_episode, run_episode
+    from mapreplay.episode import prepare_episode, record, run_episode
     from mapreplay.errors import MapreplayError
     from mapreplay.external import ExternalEpisode, unknown_floor_plan
     from mapreplay.floorplan import FloorPlan
@@ -34,6 +34,7 @@ __all__ = [
     "Step",
     "open_source",
     "prepare_episode",
+    "record",
     "run_episode",
     "show",
     "unknown_floor_plan",
@@ -50,6 +51,7 @@ _HOMES = {
     "Step": "mapreplay.step",
     "open_source": "mapreplay.floorplans",
     "prepare_episode": "mapreplay.episode",
+    "record": "mapreplay.episode",
     "run_episode": "mapreplay.episode",
     "show": "mapreplay.recorders.viewer.notebook",
     "unknown_floor_plan": "mapreplay.external",

@@ -6,6 +6,7 @@ record(episode, EpisodeWriter(path, episode.header), ...)
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -132,8 +133,10 @@ class StepSink(Protocol):
         ...
 
 
-def record(episode: Episode | Iterable[Step], *sinks: StepSink) -> Step:
-    """Run an episode, and give every step to every sink, in order; returns the last step.
+def recorded(episode: Episode | Iterable[Step], *sinks: StepSink) -> Iterator[Step]:
+    """Run an episode, and yield every step when every sink has taken it, in order.
+
+    It is `record` for callers that do something between the steps, such as telling how far it is.
 
     Args:
         episode: A prepared one, or the steps of one, such as a log's.
@@ -141,13 +144,25 @@ def record(episode: Episode | Iterable[Step], *sinks: StepSink) -> Step:
 
     Raises:
         MapreplayError: the predictor or planner returned something impossible, or a sink failed.
+    """
+    for step in run_episode(episode) if isinstance(episode, Episode) else episode:
+        for sink in sinks:
+            sink.add(step)
+        yield step
+
+
+def record(episode: Episode | Iterable[Step], *sinks: StepSink) -> Step:
+    """Run an episode, and give every step to every sink, in order; returns the last step.
+
+    Args:
+        episode: As for `recorded`.
+        sinks: As for `recorded`.
+
+    Raises:
+        MapreplayError: the predictor or planner returned something impossible, or a sink failed.
         ValueError: there are no steps.
     """
-    steps = run_episode(episode) if isinstance(episode, Episode) else episode
-    last: Step | None = None
-    for last in steps:
-        for sink in sinks:
-            sink.add(last)
-    if last is None:
+    last = deque(recorded(episode, *sinks), maxlen=1)
+    if not last:
         raise ValueError("an episode without steps")
-    return last
+    return last[0]

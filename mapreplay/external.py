@@ -66,7 +66,7 @@ class ExternalEpisode:
 
         episode = ExternalEpisode(unknown_floor_plan("lab", (80, 60), 0.05), start, planner="mine")
         with EpisodeWriter(Path("lab.mcap"), episode.header) as writer:
-            writer.write(episode.step(agent, observed))
+            writer.add(episode.step(agent, observed))
     """
 
     def __init__(

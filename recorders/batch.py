@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final, TypeAlias
 
 from mapreplay.config import EpisodeConfig
-from mapreplay.episode import prepare_episode, run_episode
+from mapreplay.episode import prepare_episode, recorded
 from mapreplay.errors import MapreplayError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.predictors import kept_predictor
@@ -74,7 +74,7 @@ class Failed:
 Report: TypeAlias = Progress | Done | Failed
 
 
-def record(number: int, task: Task) -> Iterator[Report]:
+def record_task(number: int, task: Task) -> Iterator[Report]:
     """Simulate and record one episode; closing the generator leaves a readable ``.part``."""
     try:
         predictor = kept_predictor(task.predictor, task.device)
@@ -82,8 +82,7 @@ def record(number: int, task: Task) -> Iterator[Report]:
         path = task.path
         with EpisodeWriter(path, episode.header, profile=task.profile, force=task.force) as writer:
             reported = 0.0
-            for step in run_episode(episode):
-                writer.write(step)
+            for step in recorded(episode, writer):
                 if time.monotonic() - reported > REPORT_SECONDS:
                     reported = time.monotonic()
                     covered = step.metrics.coverage(task.config.build)
@@ -101,7 +100,7 @@ def record_all(tasks: Sequence[Task], jobs: int) -> Generator[Report, None, None
     """
     if jobs == 1 or len(tasks) == 1:
         for number, task in enumerate(tasks):
-            yield from record(number, task)
+            yield from record_task(number, task)
         return
     with closing(run_each(_record, list(enumerate(tasks)), jobs)) as events:
         for event in events:
@@ -112,4 +111,4 @@ def record_all(tasks: Sequence[Task], jobs: int) -> Generator[Report, None, None
 
 
 def _record(numbered: tuple[int, Task]) -> Iterator[Report]:
-    return record(*numbered)
+    return record_task(*numbered)

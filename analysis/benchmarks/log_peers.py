@@ -66,10 +66,10 @@ def _clock() -> Iterator[_Clock]:
 
 
 def write_ours(run: Run, path: Path) -> float:
-    """Steps to `EpisodeWriter.write`: encoding, compression, checksums and syncing to disk."""
+    """Steps to `EpisodeWriter.add`: encoding, compression, checksums and syncing to disk."""
     with EpisodeWriter(path, run.header) as writer, _clock() as clock:
         for step in run.steps:
-            writer.write(step)
+            writer.add(step)
     return clock.seconds
 
 

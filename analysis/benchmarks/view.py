@@ -77,7 +77,7 @@ def record_long(path: Path, plan: FloorPlan, steps: int, predictor: Predictor) -
     count = 0
     with EpisodeWriter(path, episode.header) as writer:
         for step in islice(run_episode(episode), steps):
-            writer.write(step)
+            writer.add(step)
             count += 1
     return count
 

@@ -25,6 +25,12 @@ from mapreplay.floorplan import FloorPlan
 from mapreplay.floorplans import load_each, open_source, read_ids, select
 
 
+def shipped_configs() -> dict[str, Path]:
+    """The configurations that come with the package, by name, sorted."""
+    paths = (Path(__file__).parent / "configs").glob("*.toml")
+    return dict(sorted((path.stem, path) for path in paths))
+
+
 class _Table(BaseModel):
     model_config = ConfigDict(
         frozen=True,

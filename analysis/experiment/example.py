@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from mapreplay.config import EpisodeConfig
-from mapreplay.episode import prepare_episode, run_episode
+from mapreplay.episode import prepare_episode, record
 from mapreplay.floorplan import FloorPlan
 from mapreplay.predictors import Predictor
 from mapreplay.recorders.log.reader import EpisodeLog
@@ -39,8 +39,7 @@ def record_example(floor_plan: FloorPlan, predictor: Predictor, folder: Path) ->
     episode = prepare_episode(config, floor_plan, predictor=predictor)
     path = folder / EXAMPLE_FILE
     with EpisodeWriter(path, episode.header, force=True) as writer:
-        for step in run_episode(episode):
-            writer.write(step)
+        record(episode, writer)
     return path
 
 

@@ -26,14 +26,14 @@ import matplotlib.pyplot as plt
 
 from mapreplay.analysis.stats.estimates import Estimate, mean_interval, paired_reduction, proportion
 from mapreplay.config import EpisodeConfig, MapKind
-from mapreplay.episode import prepare_episode, run_episode
+from mapreplay.episode import prepare_episode, record
 from mapreplay.floorplan import FloorPlan
 from mapreplay.floorplans import open_source, read_ids, select
 from mapreplay.grid import Grid
 from mapreplay.predictors import Predictor, choice_of, load_predictor
 from mapreplay.predictors.auto import PREDICTOR_OF
 from mapreplay.stages import chosen_at
-from mapreplay.step import PredictorIdentity
+from mapreplay.step import PredictorIdentity, Step
 
 REFERENCE = "observed"
 """Nearest Frontier on observed/observed, among the names of predictors."""
@@ -61,6 +61,19 @@ class Watcher:
 def predictor_called(name: str) -> Predictor:
     """The registered one, or that of the reference or the watched run."""
     return Watcher() if name == WATCHED else load_predictor("none" if name == REFERENCE else name)
+
+
+class Choices:
+    """What `auto` chose, where it changed its mind: (step, choice)."""
+
+    def __init__(self) -> None:
+        self.made: list[tuple[int, str]] = []
+
+    def add(self, step: Step) -> None:
+        """See `mapreplay.episode.StepSink`."""
+        chosen = chosen_at(step)
+        if chosen is not None:
+            self.made.append((step.index, chosen))
 
 
 @dataclass(frozen=True)
@@ -104,15 +117,11 @@ def explore(
             planner="cost-utility", predictor=name, fail_safe=True, start=start,
             max_steps=max_steps,
         )  # fmt: skip
-    choices = []
-    for step in run_episode(prepare_episode(config, plan, predictor=predictor)):
-        chosen = chosen_at(step)
-        if chosen is not None:
-            choices.append((step.index, chosen))
-        last = step
+    choices = Choices()
+    last = record(prepare_episode(config, plan, predictor=predictor), choices)
     return Run(
         plan.id, start, name, predictor.identity.sha256, max(last.index, 1), str(last.outcome),
-        last.metrics.correct_coverage_fused, choices,
+        last.metrics.correct_coverage_fused, choices.made,
     )  # fmt: skip
 
 

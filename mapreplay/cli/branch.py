@@ -56,7 +56,7 @@ def branch(
     ):
         task = bar.add_task("steps", total=budget, steps="")
         for step in branched.steps():
-            writer.write(step)
+            writer.add(step)
             bar.update(task, completed=step.index, steps=f"step {step.index}")
     frame = episode_frame([episode_row(opened.path), episode_row(path)])
     text = brief(frame).insert_column(0, pl.Series("log", ["parent", "branch"]))

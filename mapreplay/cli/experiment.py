@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 def experiment(
     config: Annotated[
-        str, typer.Argument(help="TOML file, or the name of one in samples/experiments: paper.")
+        str,
+        typer.Argument(help="TOML file, or a name: paper, validation, beaten, beaten-80-85, tiny."),
     ],
     out: Annotated[
         Path,
@@ -60,14 +61,16 @@ def experiment(
 
 
 def _find(name: str) -> Path:
-    """The configuration file: a path, or a name in the samples."""
+    """The configuration file: a path, or the name of one that comes with the package."""
+    from mapreplay.analysis.experiment.config import shipped_configs
+
     path = Path(name)
     if path.is_file():  # and not a folder of results called like the experiment
         return path
-    samples = Path("samples") / "experiments" / f"{name}.toml"
-    if samples.exists():
-        return samples
-    raise UsageError(f"{name}: no such file, and no samples/experiments/{name}.toml here")
+    shipped = shipped_configs()
+    if name in shipped:
+        return shipped[name]
+    raise UsageError(f"{name}: no such file, and no experiment; there are {', '.join(shipped)}")
 
 
 def _places(given: list[str], settings: ExperimentConfig) -> dict[str, str]:

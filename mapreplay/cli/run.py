@@ -199,7 +199,7 @@ def _record(tasks: list[Task], jobs: int) -> list[Path]:
 
 def _watch(tasks: list[Task]) -> list[Path]:
     """Record one episode after the other, showing each step as it happens."""
-    from mapreplay.episode import prepare_episode, run_episode
+    from mapreplay.episode import prepare_episode, record
     from mapreplay.predictors import load_predictor
     from mapreplay.recorders.log.writer import EpisodeWriter
     from mapreplay.recorders.viewer.view import LiveView, require_display_here
@@ -219,9 +219,7 @@ def _watch(tasks: list[Task]) -> list[Path]:
             LiveView(episode.header) as live,  # first: without a display nothing is recorded
             EpisodeWriter(path, episode.header, profile=task.profile, force=task.force) as writer,
         ):
-            for step in run_episode(episode):
-                writer.write(step)
-                live.add(step)
+            record(episode, writer, live)
         done.append(path)
     return done
 

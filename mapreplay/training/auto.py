@@ -92,9 +92,8 @@ def snapshots(plan: FloorPlan, number: int, seed: int) -> Iterator[tuple[int, Gr
         start=start,
         max_steps=SNAPSHOTS[-1],
     )
-    for step in run_episode(prepare_episode(config, plan)):
-        if step.index in SNAPSHOTS:
-            yield step.index, step.observed
+    steps = run_episode(prepare_episode(config, plan))
+    yield from ((step.index, step.observed) for step in steps if step.index in SNAPSHOTS)
 
 
 def fit(examples: Mapping[str, Examples], seed: int) -> Classifier:

@@ -105,7 +105,7 @@ def _write(log: SalvagedLog, path: Path) -> tuple[list[int], Outcome | None]:
         with writer:
             for step in log.readable_steps():
                 writer.skip_to(step.index)
-                writer.write(step)
+                writer.add(step)
                 numbers.append(step.index)
                 outcome = step.outcome
                 if outcome is not None:

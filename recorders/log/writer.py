@@ -39,7 +39,7 @@ CHUNK_BYTES: Final = 4 << 20
 
 
 class EpisodeWriter:
-    """Writes one episode: ``with EpisodeWriter(path, header) as writer: writer.write(step)``.
+    """Writes one episode: ``with EpisodeWriter(path, header) as writer: writer.add(step)``.
 
     The file is ``<path>.part`` until the step with the outcome was written and the writer is
     closed; then it becomes `path` in one move. After an error it stays ``.part``, with all
@@ -107,7 +107,7 @@ class EpisodeWriter:
             with suppress(MapreplayError):  # the exception under way says more
                 self._keep_part()
 
-    def write(self, step: Step) -> None:
+    def add(self, step: Step) -> None:
         """Append a step.
 
         Raises:

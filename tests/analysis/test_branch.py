@@ -65,7 +65,7 @@ def sealed(tmp_path_factory: pytest.TempPathFactory) -> EpisodeLog:
 def written(branched: BranchedEpisode, path: Path) -> EpisodeLog:
     with EpisodeWriter(path, branched.header) as writer:
         for step in branched.steps():
-            writer.write(step)
+            writer.add(step)
     return EpisodeLog(path)
 
 
@@ -146,7 +146,7 @@ def test_a_branch_that_says_a_wrong_step_is_found(child: EpisodeLog, tmp_path: P
     later = replace(child.header, branch=replace(child.header.branch, step=K + 5))
     with EpisodeWriter(tmp_path / "x.mcap", later) as writer:
         for step in child:
-            writer.write(step)
+            writer.add(step)
     result = verify(EpisodeLog(tmp_path / "x.mcap"))
     assert not result.agrees
     assert result.differences[0].step == K

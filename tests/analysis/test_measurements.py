@@ -140,7 +140,7 @@ def test_milestones_and_area_of_a_walk_along_a_corridor(tmp_path: Path) -> None:
             observed[:, : 3 + k] = corridor.cells[:, : 3 + k]
             outcome = "mapped" if k == 3 else None
             target = (1, 4) if k < 3 else None
-            writer.write(episode.step((1, 1 + k), observed, target=target, outcome=outcome))
+            writer.add(episode.step((1, 1 + k), observed, target=target, outcome=outcome))
     log = EpisodeLog(tmp_path / "log.mcap")
     row = episode_metrics(log, measure_log(log)).row(0, named=True)
     covered = [9 / 18, 12 / 18, 15 / 18, 1.0]
@@ -164,7 +164,7 @@ def test_a_wrong_recording_is_told(tmp_path: Path) -> None:
     steps = [replace(s, metrics=replace(s.metrics, f1=0.123)) for s in EpisodeLog(path)]
     with EpisodeWriter(tmp_path / "wrong.mcap", episode.header) as writer:
         for step in steps:
-            writer.write(step)
+            writer.add(step)
     wrong = measure_log(EpisodeLog(tmp_path / "wrong.mcap")).disagreements
     assert [d.step for d in wrong] == list(range(5))
     assert str(wrong[0]).startswith("step 0: f1 was recorded as 0.123, the maps give 0.")

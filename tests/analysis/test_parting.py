@@ -29,7 +29,7 @@ from recordings import THREE_ROOMS, BlurPredictor, three_rooms
 def write(path: Path, header: EpisodeHeader, steps: list[Step]) -> EpisodeLog:
     with EpisodeWriter(path, header) as writer:
         for step in steps:
-            writer.write(step)
+            writer.add(step)
     return EpisodeLog(path)
 
 

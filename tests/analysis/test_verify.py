@@ -62,7 +62,7 @@ def write(folder: Path, header: EpisodeHeader, steps: list[Step]) -> EpisodeLog:
     path = folder / "episode.mcap"
     with EpisodeWriter(path, header, force=True) as writer:
         for step in steps:
-            writer.write(step)
+            writer.add(step)
     return EpisodeLog(path if path.exists() else writer.part)
 
 

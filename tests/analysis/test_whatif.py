@@ -51,7 +51,7 @@ def log(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     path = tmp_path_factory.mktemp("noisy") / "log.mcap"
     with EpisodeWriter(path, episode.header) as writer:
         for step in run_episode(episode):
-            writer.write(step)
+            writer.add(step)
     return EpisodeLog(path)
 
 
@@ -149,6 +149,6 @@ def test_walls_that_nobody_knows_have_no_score(tmp_path: Path) -> None:
     )
     with EpisodeWriter(tmp_path / "log.mcap", episode.header) as writer:
         for step in run_episode(episode):
-            writer.write(step)
+            writer.add(step)
     frame = what_if_frame(what_if(EpisodeLog(tmp_path / "log.mcap"), [0.01], [1.0]))
     assert frame["coverage"][0] == 1.0

@@ -149,8 +149,8 @@ def test_without_a_truth_or_a_budget_there_is_no_mapping_time(cli: Run, tmp_path
             with EpisodeWriter(tmp_path / side / f"{seed}.mcap", episode.header) as writer:
                 seen = np.full((4, 6), -1, np.int8)
                 seen[:, :3] = 0
-                writer.write(episode.step((1, 1), seen))
-                writer.write(episode.step((1, column), seen, outcome="out_of_steps"))
+                writer.add(episode.step((1, 1), seen))
+                writer.add(episode.step((1, column), seen, outcome="out_of_steps"))
     done = cli("diff", tmp_path / "a", tmp_path / "b")
     assert done.code == 0, done.err
     assert "10000000" not in done.out

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from commands import Run
-from mapreplay.floorplans import procedural
+from mapreplay.analysis.experiment.config import ExperimentConfig, shipped_configs
+from mapreplay.floorplans import procedural, read_ids
 
-SAMPLES = Path(__file__).parents[2] / "samples" / "experiments"
-TINY = SAMPLES / "tiny.toml"
+TINY = shipped_configs()["tiny"]
 
 
 def test_the_whole_pipeline(cli: Run, tmp_path: Path) -> None:
@@ -125,7 +125,11 @@ def test_other_floor_plans_or_code_are_refused_and_more_floor_plans_are_not(
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
-        (["nowhere"], 2, "nowhere: no such file, and no samples/experiments/nowhere.toml here"),
+        (
+            ["nowhere"],
+            2,
+            "nowhere: no such file, and no experiment; there are beaten, beaten-80-85, paper, tiny",
+        ),
         (
             [TINY, "--floorplans", "D9=x"],
             2,
@@ -148,11 +152,15 @@ def test_a_folder_called_like_an_experiment_does_not_hide_it(
     cli: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "tiny").mkdir()
-    (tmp_path / "samples" / "experiments").mkdir(parents=True)
-    (tmp_path / "samples" / "experiments" / "tiny.toml").write_text("coverage = 2")
     monkeypatch.chdir(tmp_path)
-    result = cli("experiment", "tiny", "--out", "out")
-    assert "samples/experiments/tiny.toml" in result.err
+    result = cli("experiment", "tiny", "--out", "out", "--dataset", "D9")
+    assert "no dataset 'D9'; there are D1" in result.err  # it was read
+
+
+def test_all_that_an_experiment_needs_comes_with_the_package() -> None:
+    for path in shipped_configs().values():
+        for dataset in ExperimentConfig.read(path).datasets:
+            assert dataset.ids is None or read_ids(dataset.ids)
 
 
 def test_an_out_that_is_no_folder_is_refused(cli: Run, tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ def record(folder: Path, episode: ExternalEpisode, maps: list[np.ndarray], **las
     with EpisodeWriter(path, episode.header) as writer:
         for k, observed in enumerate(maps):
             ended = k == len(maps) - 1
-            writer.write(
+            writer.add(
                 episode.step(
                     (1, 1 + k),
                     observed,
@@ -100,7 +100,7 @@ def test_everything_that_is_given_comes_back(tmp_path: Path) -> None:
     path = tmp_path / "theirs.mcap"
     with EpisodeWriter(path, episode.header) as writer:
         for step in steps:
-            writer.write(step)
+            writer.add(step)
     log = EpisodeLog(path)
     assert (log.header.simulator, log.header.config.seed) == ("gym", 7)
     for written, read in zip(steps, log, strict=True):
@@ -238,6 +238,6 @@ def test_a_first_pose_that_is_not_the_start_is_a_difference(tmp_path: Path) -> N
     first = episode.step((1, 2), SEEN, outcome="mapped")
     path = tmp_path / "lab.mcap"
     with EpisodeWriter(path, replace(episode.header, start=Cell(1, 3))) as writer:
-        writer.write(first)
+        writer.add(first)
     found = [d for d in verify(EpisodeLog(path)).differences if d.what == "agent"]
     assert [(d.step, d.logged, d.expected) for d in found] == [(0, (1, 2), (1, 3))]

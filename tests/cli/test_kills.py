@@ -32,7 +32,7 @@ from mapreplay.recorders.log.writer import EpisodeWriter
 episode = three_rooms(**{LONG})
 with EpisodeWriter(Path(sys.argv[2]), episode.header) as writer:
     for step in run_episode(episode):
-        writer.write(step)
+        writer.add(step)
         print(step.index, flush=True)
 """
 

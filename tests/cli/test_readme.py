@@ -8,20 +8,24 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mapreplay import EpisodeLog
+
 ROOT = Path(__file__).parents[2]
 
 
 def test_the_python_of_the_readme_runs(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     section = (ROOT / "README.md").read_text(encoding="utf-8").partition("## From Python")[2]
     code = re.search(r"```python\n(.*?)```", section, re.DOTALL)
     assert code is not None
-    monkeypatch.chdir(ROOT)  # it opens a sample
+    monkeypatch.chdir(tmp_path)  # it opens a sample, and writes a log
+    (tmp_path / "samples").symlink_to(ROOT / "samples")
     exec(compile(code[1], "README.md", "exec"), {})
     printed = capsys.readouterr().out
     assert "Candidate(" in printed
     assert "shape: (105, " in printed
+    assert EpisodeLog(tmp_path / "runs/mine.mcap").finished
 
 
 def test_the_python_of_the_analysis_page_runs(

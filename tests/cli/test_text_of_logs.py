@@ -51,8 +51,8 @@ def hostile(tmp_path_factory: pytest.TempPathFactory) -> Path:
         episode = ExternalEpisode(plan, (1, 1), planner=planner, simulator=planner)
         path = folder / f"run[final]$_{number}\x1b[1m.mcap"
         with EpisodeWriter(path, episode.header) as writer:
-            writer.write(episode.step((1, 1), observed, target=(1, 2)))
-            writer.write(episode.step((1, 2), observed, outcome="mapped"))
+            writer.add(episode.step((1, 1), observed, target=(1, 2)))
+            writer.add(episode.step((1, 2), observed, outcome="mapped"))
     return folder
 
 

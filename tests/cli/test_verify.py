@@ -22,7 +22,7 @@ def lie(logs: Path, tmp_path: Path) -> Path:
             hits = step.hits.copy()
             hits[2] = 1 if hits[2] != 1 else 2
             changed = {4: replace(step, frontier=step.frontier[1:]), 7: replace(step, hits=hits)}
-            writer.write(changed.get(step.index, step))
+            writer.add(changed.get(step.index, step))
     return path
 
 
@@ -32,7 +32,7 @@ def part(logs: Path, tmp_path: Path) -> Path:
     log = EpisodeLog(sorted(logs.iterdir())[0])
     with EpisodeWriter(tmp_path / "part.mcap", log.header) as writer:
         for step in itertools.islice(log, 10):
-            writer.write(step)
+            writer.add(step)
     return writer.part
 
 
@@ -78,7 +78,7 @@ def test_more_than_ten_are_counted(cli: Run, logs: Path, tmp_path: Path) -> None
     log = EpisodeLog(sorted(logs.iterdir())[0])
     with EpisodeWriter(tmp_path / "a.mcap", log.header) as writer:
         for step in log:
-            writer.write(replace(step, metrics=replace(step.metrics, f1=0.987)))
+            writer.add(replace(step, metrics=replace(step.metrics, f1=0.987)))
     result = cli("verify", tmp_path)
     assert result.code == 1
     assert result.err.count("/metrics f1: logged 0.987") == 10
@@ -142,7 +142,7 @@ def test_a_predictor_that_is_not_here_is_named(cli: Run, logs: Path, tmp_path: P
     path = tmp_path / "a.mcap"
     with EpisodeWriter(path, replace(log.header, config=config)) as writer:
         for step in log:
-            writer.write(step)
+            writer.add(step)
     assert cli("verify", path).code == 0
     result = cli("verify", path, logs, "--rerun")
     assert result.code == 3

@@ -48,7 +48,7 @@ def with_a_path(log: Path, path: Path, to: Path, monkeypatch: pytest.MonkeyPatch
         identity = PredictorIdentity(path.name, header.predictor.sha256)
         with EpisodeWriter(to, replace(header, config=config, predictor=identity)) as writer:
             for step in EpisodeLog(log):
-                writer.write(step)
+                writer.add(step)
     assert str(path).encode() in to.read_bytes()
     return to
 

@@ -100,7 +100,7 @@ def make(folder: Path) -> Path:
     header = replace(episode.header, versions=(("mapreplay", "0.1.0"),))
     with EpisodeWriter(path, header, profile=True) as writer:
         for step in run_episode(episode):
-            writer.write(replace(step, profile=StepProfile(*range(5))))
+            writer.add(replace(step, profile=StepProfile(*range(5))))
     path.with_suffix(".json").write_text(described(EpisodeLog(path)))
     return path
 

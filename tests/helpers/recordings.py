@@ -98,5 +98,5 @@ def record(folder: Path, episode: Episode) -> Recorded:
     steps = list(run_episode(episode))
     with EpisodeWriter(path, episode.header, profile=True) as writer:
         for step in steps:
-            writer.write(step)
+            writer.add(step)
     return Recorded(path, episode.header, steps)

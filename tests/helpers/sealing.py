@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from drawing import draw, plan
 from mapreplay.config import EpisodeConfig
-from mapreplay.episode import Episode, prepare_episode, run_episode
+from mapreplay.episode import Episode, prepare_episode, record
 from mapreplay.grid import Grid
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.writer import EpisodeWriter
@@ -80,6 +80,5 @@ def episode(predictor: Told, picture: str = TWO_ROOMS, **config: object) -> Epis
 
 def recorded(path: Path, made: Episode) -> EpisodeLog:
     with EpisodeWriter(path, made.header) as writer:
-        for step in run_episode(made):
-            writer.write(step)
+        record(made, writer)
     return EpisodeLog(path)

@@ -16,7 +16,7 @@ from fakes import ConstantPredictor
 from mapreplay.analysis.branching import prepare_branch
 from mapreplay.analysis.verification import verify, verify_rerun
 from mapreplay.config import EpisodeConfig, MapKind
-from mapreplay.episode import Episode, prepare_episode, run_episode
+from mapreplay.episode import Episode, prepare_episode, record, run_episode
 from mapreplay.errors import WeightsError
 from mapreplay.floorplan import FloorPlan, explorable
 from mapreplay.floorplans import open_source
@@ -262,7 +262,7 @@ def test_the_log_says_what_was_chosen_and_when_that_changed(tmp_path: Path) -> N
     path = tmp_path / "a.mcap"
     with EpisodeWriter(path, by_cells().header) as writer:
         for step in steps:
-            writer.write(step)
+            writer.add(step)
     log = EpisodeLog(path)
     assert choices({step.index: step.events for step in log.steps()}) == expected
     assert verify(log).differences == ()
@@ -273,7 +273,7 @@ def test_a_choice_that_is_told_twice_is_no_change(tmp_path: Path) -> None:
     with EpisodeWriter(path, by_cells().header) as writer:
         for step in run_episode(by_cells()):
             told = (Event(EventKind.PREDICTOR, "few"), *step.events) if step.index == 1 else None
-            writer.write(step if told is None else replace(step, events=told))
+            writer.add(step if told is None else replace(step, events=told))
     found = verify(EpisodeLog(path)).differences
     assert [(d.step, d.what) for d in found] == [(1, "event 0")]
 
@@ -283,8 +283,7 @@ def test_an_episode_with_auto_proves_true_and_branches(tmp_path: Path) -> None:
     episode = prepare_episode(config, generate(50_003))
     path = tmp_path / "auto.mcap"
     with EpisodeWriter(path, episode.header) as writer:
-        for step in run_episode(episode):
-            writer.write(step)
+        record(episode, writer)
     log = EpisodeLog(path)
     assert verify(log).differences == ()
     assert verify_rerun(log).differences == ()

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from drawing import draw, plan
 from fakes import ConstantPredictor, FixedPredictor, NoisyPredictor
 from mapreplay.config import EpisodeConfig, MapKind
-from mapreplay.episode import prepare_episode, run_episode
+from mapreplay.episode import prepare_episode, record, recorded, run_episode
 from mapreplay.errors import MapreplayError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.floorplans.procedural import generate
@@ -365,3 +365,33 @@ def test_the_same_seed_gives_the_same_episode() -> None:
 
     assert agents(1) == agents(1)
     assert agents(1) != agents(2)
+
+
+class Diary:
+    """A sink that keeps what it was given, and says so in a list that several share."""
+
+    def __init__(self, name: str, heard: list[tuple[str, int]]) -> None:
+        self.name, self.heard = name, heard
+
+    def add(self, step: Step) -> None:
+        self.heard.append((self.name, step.index))
+
+
+def test_record_gives_every_step_to_every_sink_in_order_and_returns_the_last() -> None:
+    episode = prepare_episode(EpisodeConfig(planner="nearest", max_steps=3), plan(TWO_ROOMS))
+    steps, heard = list(run_episode(episode)), list[tuple[str, int]]()
+    last = record(episode, Diary("a", heard), Diary("b", heard))
+    assert heard == [(name, k) for k in range(4) for name in "ab"]
+    assert (last.index, last.outcome) == (3, Outcome.OUT_OF_STEPS)
+    assert record(steps, Diary("a", heard)) is steps[-1]  # of a log's steps it does the same
+    with pytest.raises(ValueError, match="without steps"):
+        record([])
+
+
+def test_recorded_says_a_step_when_the_sinks_have_it_and_not_sooner() -> None:
+    episode = prepare_episode(EpisodeConfig(planner="nearest", max_steps=3), plan(TWO_ROOMS))
+    heard: list[tuple[str, int]] = []
+    steps = recorded(episode, Diary("a", heard))
+    assert (next(steps).index, heard) == (0, [("a", 0)])
+    steps.close()
+    assert heard == [("a", 0)]

@@ -199,7 +199,7 @@ def test_a_log_of_it_verifies_and_the_same_seed_gives_the_same_steps(tmp_path: P
         with EpisodeWriter(path, episode.header) as writer:
             steps = list(run_episode(episode))
             for step in steps:
-                writer.write(step)
+                writer.add(step)
         return steps
 
     one, other = record(tmp_path / "one.mcap"), record(tmp_path / "other.mcap")

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from drawing import plan
 from mapreplay.analysis.verification import verify
 from mapreplay.config import EpisodeConfig
-from mapreplay.episode import prepare_episode, run_episode, versions
+from mapreplay.episode import prepare_episode, record, versions
 from mapreplay.grid import UNKNOWN, Cell, Quantized
 from mapreplay.planners import Planner, load_planner, planner_of, rules_1
 from mapreplay.planners.cost_utility import CostUtility
@@ -115,7 +115,6 @@ def test_a_log_of_rules_1_is_verified_by_rules_1(tmp_path: Path, name: str) -> N
         with EpisodeWriter(
             tmp_path / f"{number}.mcap", replace(episode.header, versions=said)
         ) as w:
-            for step in run_episode(episode):
-                w.write(step)
+            record(episode, w)
         results.append(verify(EpisodeLog(tmp_path / f"{number}.mcap")).agrees)
     assert results == [True, False]

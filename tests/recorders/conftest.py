@@ -36,7 +36,7 @@ def unfinished(blurred: Recorded, tmp_path: Path) -> Recorded:
     """The first 50 steps of `blurred`; the writer was killed."""
     writer = EpisodeWriter(tmp_path / "killed.mcap", blurred.header)
     for step in blurred.steps[:50]:
-        writer.write(step)
+        writer.add(step)
     copy = tmp_path / "copy.mcap.part"
     copy.write_bytes(writer.part.read_bytes())  # what another process sees at this moment
     writer.close()

@@ -24,7 +24,7 @@ def killed(small: Recorded, tmp_path_factory: pytest.TempPathFactory) -> Recorde
         patch.setattr("mapreplay.recorders.log.writer.STEPS_A_CHUNK", 2)
         writer = EpisodeWriter(folder / "a.mcap", small.header, profile=True)
         for step in small.steps[:-1]:
-            writer.write(step)
+            writer.add(step)
     left = writer.part.read_bytes()
     writer.close()
     copy = folder / "killed.mcap.part"

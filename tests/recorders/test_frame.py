@@ -104,7 +104,7 @@ def test_an_episode_without_truth_prediction_and_targets_is_drawn(tmp_path: Path
     observed[3:9, 3:30] = 0
     with EpisodeWriter(tmp_path / "lab.mcap", episode.header) as writer:
         for k in range(3):
-            writer.write(episode.step((5, 5 + k), observed))
+            writer.add(episode.step((5, 5 + k), observed))
     film = Film([Filmed.of(EpisodeLog(tmp_path / "lab.mcap.part"))], (640, 360))
     assert film.last == 2
     assert film.frame(2).std() > 20

@@ -412,12 +412,12 @@ def test_more_steps_than_can_be_read_are_not_written(
     monkeypatch.setattr("mapreplay.recorders.log.writer.MAX_STEPS", 3)
     with EpisodeWriter(tmp_path / "a.mcap", small.header) as writer:
         for step in small.steps[:3]:
-            writer.write(step)
+            writer.add(step)
         with pytest.raises(LogError, match="at most 3 steps"):
-            writer.write(small.steps[3])
+            writer.add(small.steps[3])
     monkeypatch.setattr("mapreplay.recorders.log.writer.MAX_STEP_BYTES", 100)
     with (
         EpisodeWriter(tmp_path / "b.mcap", small.header) as writer,
         pytest.raises(LogError, match=r"step 0 has [0-9]+ bytes; at most 100 can be read back"),
     ):
-        writer.write(small.steps[0])
+        writer.add(small.steps[0])

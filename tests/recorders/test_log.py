@@ -189,7 +189,7 @@ def test_every_prediction_dtype_comes_back(tmp_path: Path) -> None:
         steps = list(run_episode(episode))
         with EpisodeWriter(path, episode.header, profile=True) as writer:
             for step in steps:
-                writer.write(step)
+                writer.add(step)
         read = list(EpisodeLog(path))
         assert {step.p_wall.dtype.name for step in read if step.p_wall is not None} == {dtype}
         assert [differences(a, b) for a, b in zip(read, steps, strict=True)] == [[]] * len(steps)

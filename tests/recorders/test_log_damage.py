@@ -152,7 +152,7 @@ def test_a_newer_log_says_so(
 ) -> None:
     monkeypatch.setattr(metadata, "FORMAT_VERSION", 2)
     with EpisodeWriter(tmp_path / "a.mcap", blurred.header) as writer:
-        writer.write(blurred.steps[0])
+        writer.add(blurred.steps[0])
     monkeypatch.undo()
     with pytest.raises(LogError, match=r"log format 2 is newer than 1.*upgrade mapreplay"):
         EpisodeLog(writer.part)
@@ -186,7 +186,7 @@ def test_a_log_that_lies_is_refused(
     lies["crc32"] = metadata._crc(lies)
     monkeypatch.setattr("mapreplay.recorders.log.writer.episode_pairs", lambda _: lies)
     with EpisodeWriter(tmp_path / "a.mcap", blurred.header) as writer:
-        writer.write(blurred.steps[0])
+        writer.add(blurred.steps[0])
     with pytest.raises(LogError, match=reason) as caught:
         EpisodeLog(writer.part)
     assert_clear(caught.value, writer.part)
@@ -247,7 +247,7 @@ def test_a_message_that_is_logged_at_another_time_is_of_the_step_that_it_is_stam
     path = tmp_path / "late.mcap"
     with EpisodeWriter(path, blurred.header) as writer:
         for step in blurred.steps:
-            writer.write(step)
+            writer.add(step)
     read = list(EpisodeLog(path))
     assert [set(differences(a, b)) for a, b in zip(read, blurred.steps, strict=True)] == [
         {"profile"}

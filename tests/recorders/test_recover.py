@@ -280,7 +280,7 @@ def test_nothing_is_overwritten_without_force(blurred: Recorded, part: Path) -> 
 
 def test_a_log_that_is_being_written_is_left_alone(blurred: Recorded, tmp_path: Path) -> None:
     with EpisodeWriter(tmp_path / "a.mcap", blurred.header) as writer:
-        writer.write(blurred.steps[0])
+        writer.add(blurred.steps[0])
         with pytest.raises(LogError, match="another process is writing it"):
             recover(writer.part)
 

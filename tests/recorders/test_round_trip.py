@@ -157,7 +157,7 @@ def test_every_step_comes_back_bit_for_bit(
         path = Path(folder) / "any.mcap"
         with EpisodeWriter(path, make.header, profile=True) as writer:
             for step in steps:
-                writer.write(step)
+                writer.add(step)
         log = EpisodeLog(path)
         assert [differences(a, b) for a, b in zip(log, steps, strict=True)] == [[]] * count
         for k in {0, count // 2, count - 1}:
@@ -179,12 +179,12 @@ def test_what_was_read_is_written_as_the_same_bytes(
     with TemporaryDirectory() as folder:
         first, second = Path(folder) / "first.mcap", Path(folder) / "second.mcap"
         with EpisodeWriter(first, make.header, profile=True) as writer:
-            writer.write(make.step(0, None))
-            writer.write(make.step(1, Outcome.OUT_OF_STEPS))
+            writer.add(make.step(0, None))
+            writer.add(make.step(1, Outcome.OUT_OF_STEPS))
         log = EpisodeLog(first)
         with EpisodeWriter(second, log.header, profile=True) as writer:
             for step in log:
-                writer.write(step)
+                writer.add(step)
         assert first.read_bytes() == second.read_bytes()
 
 
@@ -196,6 +196,6 @@ def test_an_unfinished_log_gives_the_same_steps(
     steps = [make.step(k, None) for k in range(25)]
     with EpisodeWriter(tmp_path / "any.mcap", make.header, profile=True) as writer:
         for step in steps:
-            writer.write(step)
+            writer.add(step)
     log = EpisodeLog(writer.part)
     assert [differences(a, b) for a, b in zip(log, steps, strict=True)] == [[]] * 25

@@ -23,15 +23,14 @@ import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from recordings import three_rooms
-from mapreplay.episode import run_episode
+from mapreplay.episode import record
 from mapreplay.errors import WriteError
 from mapreplay.recorders.log.writer import EpisodeWriter
 
 episode = three_rooms(predictor="blur")
 try:
     with EpisodeWriter(Path(sys.argv[2]), episode.header) as writer:
-        for step in run_episode(episode):
-            writer.write(step)
+        record(episode, writer)
 except WriteError as error:
     print(error)
 """
@@ -107,9 +106,7 @@ def test_a_read_only_folder_is_a_clear_error(blurred: Recorded) -> None:
 def other_writer(tmp_path: Path) -> Iterator[Path]:
     """A log that another process is writing."""
     path = tmp_path / "a.mcap"
-    script = WRITE.replace(
-        "for step", "print('ready', flush=True)\n        input()\n        for step"
-    )
+    script = WRITE.replace("record(", "print('ready', flush=True); input(); record(")
     process = subprocess.Popen(
         [sys.executable, "-c", script, TESTS, str(path)],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
@@ -134,7 +131,7 @@ def test_what_a_dead_writer_left_can_be_overwritten(blurred: Recorded, tmp_path:
         EpisodeWriter(tmp_path / "a.mcap", blurred.header)
     with EpisodeWriter(tmp_path / "a.mcap", blurred.header, profile=True, force=True) as writer:
         for step in blurred.steps:
-            writer.write(step)
+            writer.add(step)
     assert (tmp_path / "a.mcap").read_bytes() == blurred.path.read_bytes()
 
 

@@ -23,7 +23,7 @@ def test_the_same_steps_give_the_same_bytes(blurred: Recorded, tmp_path: Path) -
     again = tmp_path / "other-name.mcap"
     with EpisodeWriter(again, blurred.header, profile=True) as writer:
         for step in blurred.steps:
-            writer.write(step)
+            writer.add(step)
     assert again.read_bytes() == blurred.path.read_bytes()
 
 
@@ -34,7 +34,7 @@ def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
         episode = three_rooms(predictor="blur")
         with EpisodeWriter(tmp_path / name, episode.header) as writer:
             for step in run_episode(episode):
-                writer.write(step)
+                writer.add(step)
         logs.append((tmp_path / name).read_bytes())
     assert logs[0] == logs[1]
 
@@ -43,7 +43,7 @@ def test_the_profile_is_kept_only_if_asked_for(blurred: Recorded, tmp_path: Path
     path = tmp_path / "a.mcap"
     with EpisodeWriter(path, blurred.header) as writer:
         for step in blurred.steps:
-            writer.write(step)
+            writer.add(step)
     assert [differences(a, b) for a, b in zip(EpisodeLog(path), blurred.steps, strict=True)] == [
         ["profile"]
     ] * len(blurred.steps)
@@ -55,14 +55,14 @@ def test_until_its_last_step_a_log_is_a_part(blurred: Recorded, tmp_path: Path) 
         for step in blurred.steps:
             assert writer.part.exists()
             assert not path.exists()
-            writer.write(step)
+            writer.add(step)
     assert [p.name for p in path.parent.iterdir()] == ["a.mcap"]
 
 
 def test_without_its_last_step_a_log_stays_a_part(blurred: Recorded, tmp_path: Path) -> None:
     with EpisodeWriter(tmp_path / "a.mcap", blurred.header) as writer:
         for step in blurred.steps[:25]:
-            writer.write(step)
+            writer.add(step)
     assert [p.name for p in tmp_path.iterdir()] == ["a.mcap.part"]
     assert len(EpisodeLog(writer.part)) == 25
 
@@ -71,7 +71,7 @@ def test_after_an_exception_all_written_steps_are_there(blurred: Recorded, tmp_p
     def interrupted() -> EpisodeWriter:
         with EpisodeWriter(tmp_path / "a.mcap", blurred.header) as writer:
             for step in blurred.steps[:33]:
-                writer.write(step)
+                writer.add(step)
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -92,7 +92,7 @@ from mapreplay.recorders.log.writer import EpisodeWriter
 episode = three_rooms()
 writer = EpisodeWriter(Path(sys.argv[2]), episode.header)
 for step in run_episode(episode):
-    writer.write(step)
+    writer.add(step)
     if step.index == 50:
         os.kill(os.getpid(), signal.SIGKILL)
 """
@@ -127,7 +127,7 @@ def test_a_file_that_appeared_meanwhile_is_not_overwritten(
     path = tmp_path / "a.mcap"
     writer = EpisodeWriter(path, blurred.header)
     for step in blurred.steps:
-        writer.write(step)
+        writer.add(step)
     path.write_bytes(b"mine")
     with pytest.raises(ExistsError, match=r"a\.mcap: exists"):
         writer.close()
@@ -142,7 +142,7 @@ def test_with_force_both_names_are_overwritten(tmp_path: Path) -> None:
     episode = three_rooms(max_steps=3)
     with EpisodeWriter(path, episode.header, force=True) as writer:
         for step in run_episode(episode):
-            writer.write(step)
+            writer.add(step)
     assert EpisodeLog(path).finished
     assert not part.exists()
 
@@ -154,25 +154,25 @@ def test_another_suffix_is_refused(blurred: Recorded, tmp_path: Path) -> None:
 
 def test_steps_come_in_order(blurred: Recorded, tmp_path: Path) -> None:
     with EpisodeWriter(tmp_path / "a.mcap", blurred.header) as writer:
-        writer.write(blurred.steps[0])
+        writer.add(blurred.steps[0])
         with pytest.raises(ValueError, match="step 2 does not follow 1 steps"):
-            writer.write(blurred.steps[2])
+            writer.add(blurred.steps[2])
 
 
 def test_nothing_follows_the_last_step(blurred: Recorded, tmp_path: Path) -> None:
     last = blurred.steps[-1]
     with EpisodeWriter(tmp_path / "a.mcap", blurred.header) as writer:
         for step in blurred.steps:
-            writer.write(step)
+            writer.add(step)
         with pytest.raises(ValueError, match="does not follow"):
-            writer.write(replace(last, index=last.index + 1))
+            writer.add(replace(last, index=last.index + 1))
 
 
 def test_closing_twice_is_harmless(tmp_path: Path) -> None:
     episode = three_rooms(max_steps=2)
     with EpisodeWriter(tmp_path / "a.mcap", episode.header) as writer:
         for step in run_episode(episode):
-            writer.write(step)
+            writer.add(step)
         writer.close()
     assert EpisodeLog(writer.path).finished
 
@@ -205,15 +205,15 @@ def test_a_full_disk_is_a_clear_error(
 ) -> None:
     with EpisodeWriter(tmp_path / "short.mcap", blurred.header) as writer:
         for step in blurred.steps[:20]:
-            writer.write(step)
+            writer.add(step)
     room = writer.part.stat().st_size + 100
     opened = Path.open
     monkeypatch.setattr(Path, "open", lambda self, mode: FullDisk(opened(self, mode), room))
     writer = EpisodeWriter(tmp_path / "a.mcap", blurred.header)
     for step in blurred.steps[:39]:
-        writer.write(step)
+        writer.add(step)
     with pytest.raises(WriteError, match=r"a\.mcap\.part: cannot be written \(No space left"):
-        writer.write(blurred.steps[39])
+        writer.add(blurred.steps[39])
     monkeypatch.undo()
     assert len(EpisodeLog(tmp_path / "a.mcap.part")) == 20
 

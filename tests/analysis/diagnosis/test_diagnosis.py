@@ -114,8 +114,8 @@ def test_an_unfinished_log_is_diagnosed_as_far_as_it_goes(
     made = episode(always(LEFT_ROOM), fail_safe=True)
     log = recorded(tmp_path / "a.mcap", made)
     writer = EpisodeWriter(tmp_path / "b.mcap", log.header)
-    writer.write(log[0])
-    writer.write(log[1])
+    writer.add(log[0])
+    writer.add(log[1])
     writer.close()
     found = diagnose(EpisodeLog(writer.part))
     assert found.sealings[0].ending is Ending.UNFINISHED
@@ -323,7 +323,7 @@ def test_a_log_without_a_true_map(tmp_path: Path) -> None:
     path = tmp_path / "lab.mcap"
     p_wall = np.where(draw(LEFT_ROOM) == 100, 0.99, 0.5)
     with EpisodeWriter(path, external.header) as writer:
-        writer.write(external.step((3, 3), observed, p_wall=p_wall, outcome="sealed_in"))
+        writer.add(external.step((3, 3), observed, p_wall=p_wall, outcome="sealed_in"))
     found = diagnose(EpisodeLog(path))
     (sealing,) = found.sealings
     assert sealing.blocking is None
@@ -336,7 +336,7 @@ def test_a_log_without_predictions(tmp_path: Path) -> None:
     observed = np.zeros((5, 5), np.int8)
     external = ExternalEpisode(unknown_floor_plan("lab", (5, 5), 0.1), (3, 3), planner="theirs")
     with EpisodeWriter(tmp_path / "a.mcap", external.header) as writer:
-        writer.write(external.step((3, 3), observed, outcome="mapped"))
+        writer.add(external.step((3, 3), observed, outcome="mapped"))
     found = diagnose(EpisodeLog(tmp_path / "a.mcap"))
     assert any("no prediction" in note for note in found.notes)
 
