@@ -25,9 +25,9 @@ from mapreplay.grid import FREE, Cell, Grid, Quantized, check_grid
 from mapreplay.planners import Planner, planner_of
 from mapreplay.recorders.log import step_table as table
 from mapreplay.recorders.log.header import EPISODE_RECORD, NO_STEPS, OUTCOME_RECORD
-from mapreplay.recorders.log.messages import Topic
 from mapreplay.recorders.log.reader import EpisodeLog, Stamps
 from mapreplay.recorders.log.state import span_words
+from mapreplay.recorders.log.topics import Topic
 from mapreplay.sensor import Hits, accumulate, sense
 from mapreplay.stages import (
     Knowledge,

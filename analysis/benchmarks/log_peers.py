@@ -19,8 +19,9 @@ import numpy as np
 import numpy.typing as npt
 
 from mapreplay.mapping import dequantize
-from mapreplay.recorders.log.messages import Encoded, Topic, encode_step
+from mapreplay.recorders.log.codec import Encoded, encode_step
 from mapreplay.recorders.log.schemas import schema_text, typestore
+from mapreplay.recorders.log.topics import Topic
 from mapreplay.recorders.log.writer import STEPS_A_CHUNK, EpisodeWriter
 from mapreplay.sensor import ranges
 from mapreplay.step import Cells, EpisodeHeader, Step

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mapreplay.grid import Cell
-from mapreplay.recorders.log.messages import Topic
+from mapreplay.recorders.log.topics import Topic
 from mapreplay.step import Candidate, Cells, Step, differences
 
 Value: TypeAlias = Cell | float | int | str | None

@@ -20,6 +20,13 @@ from mapreplay.errors import LogError, MapreplayError
 from mapreplay.grid import Grid, Quantized
 from mapreplay.identify import identify_file
 from mapreplay.recorders.log import step_table as table
+from mapreplay.recorders.log.codec import (
+    Messages,
+    decode_map,
+    decode_prediction,
+    decode_step,
+    decode_truth,
+)
 from mapreplay.recorders.log.find import whereabouts
 from mapreplay.recorders.log.header import (
     EPISODE_RECORD,
@@ -44,19 +51,10 @@ from mapreplay.recorders.log.mcap.reader import (
     read_record,
     unpack,
 )
-from mapreplay.recorders.log.messages import (
-    Messages,
-    Topic,
-    decode_map,
-    decode_prediction,
-    decode_step,
-    decode_truth,
-    missing,
-    stamp_ns_of,
-)
 from mapreplay.recorders.log.parquet import UnknownParquetError
 from mapreplay.recorders.log.state import Condition, LogState, gaps_in, span_words
 from mapreplay.recorders.log.survey import StepMessages, Survey, steps_in, survey
+from mapreplay.recorders.log.topics import Topic, missing, stamp_ns_of
 from mapreplay.step import OURS, EpisodeHeader, Outcome, Step
 
 if TYPE_CHECKING:

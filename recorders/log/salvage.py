@@ -15,6 +15,7 @@ from mcap.records import Metadata
 from mcap.writer import MCAP0_MAGIC
 
 from mapreplay.errors import LogError, MapreplayError
+from mapreplay.recorders.log.codec import decode_step
 from mapreplay.recorders.log.header import Pairs
 from mapreplay.recorders.log.limits import MAX_METADATA_BYTES, MAX_NAMES, check_count
 from mapreplay.recorders.log.mcap.index import (
@@ -26,7 +27,6 @@ from mapreplay.recorders.log.mcap.index import (
     read_summary,
 )
 from mapreplay.recorders.log.mcap.reader import DAMAGE, Block, Place, read_block, stream
-from mapreplay.recorders.log.messages import decode_step
 from mapreplay.recorders.log.reader import STEP_TOPICS, EpisodeLog, reason_of
 from mapreplay.recorders.log.survey import Survey
 from mapreplay.step import Step

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from mapreplay.recorders.log.codec import check_scores
 from mapreplay.recorders.log.header import EpisodeSummary
 from mapreplay.recorders.log.limits import MAX_ROW_BYTES, TABLE_BYTES
-from mapreplay.recorders.log.messages import check_scores
 from mapreplay.recorders.log.parquet import Column, Kind, read_columns
 from mapreplay.step import EpisodeHeader, Mode, Step, StepMetrics
 

@@ -10,9 +10,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import BinaryIO, Final, NamedTuple
 
+from mapreplay.recorders.log.codec import decode_metrics
 from mapreplay.recorders.log.limits import MAX_OPEN_BYTES, check_size
 from mapreplay.recorders.log.mcap.reader import Block, Channels, read_block, unpack
-from mapreplay.recorders.log.messages import Topic, decode_metrics, missing, step_of
+from mapreplay.recorders.log.topics import Topic, missing, step_of
 from mapreplay.step import FIRST_STAMP_NS, STEP_NS, Outcome
 
 ALL_TOPICS: Final = frozenset(Topic)

@@ -12,6 +12,8 @@ from typing import BinaryIO, Final, Self
 from mapreplay.errors import ExistsError, LogError, MapreplayError
 from mapreplay.files import cannot_write, check_new, make_folder
 from mapreplay.recorders.log import step_table as table
+from mapreplay.recorders.log.codec import Encoded, encode_step, encode_truth
+from mapreplay.recorders.log.geometry import check_geometry
 from mapreplay.recorders.log.header import (
     EPISODE_RECORD,
     NO_STEPS,
@@ -22,14 +24,8 @@ from mapreplay.recorders.log.header import (
 from mapreplay.recorders.log.limits import MAX_STEP_BYTES, MAX_STEPS
 from mapreplay.recorders.log.lock import is_at, is_locked, lock, move
 from mapreplay.recorders.log.mcap.writer import ContainerWriter
-from mapreplay.recorders.log.messages import (
-    Encoded,
-    Topic,
-    check_geometry,
-    encode_step,
-    encode_truth,
-)
 from mapreplay.recorders.log.schemas import MESSAGE_ENCODING, SCHEMA_ENCODING, schema_text
+from mapreplay.recorders.log.topics import Topic
 from mapreplay.step import FIRST_STAMP_NS, EpisodeHeader, Step
 
 STEPS_A_CHUNK: Final = 20

@@ -185,7 +185,7 @@ def test_the_code_of_planners_recorders_and_analyses_counts() -> None:
         for folder, _, names in os.walk(cache._PACKAGE, followlinks=True)
         for name in names
     }
-    assert {"planners/nearest.py", "recorders/log/messages.py", "analysis/limits/tour.py"} <= found
+    assert {"planners/nearest.py", "recorders/log/codec.py", "analysis/limits/tour.py"} <= found
 
 
 def test_another_version_of_a_library_is_another_digest(

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from mapreplay.recorders.log.messages import Topic
 from mapreplay.recorders.log.schemas import typestore
+from mapreplay.recorders.log.topics import Topic
 
 LAYOUT = Path(__file__).parents[2] / "samples" / "foxglove" / "mapreplay.json"
 

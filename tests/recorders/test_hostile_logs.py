@@ -36,8 +36,8 @@ from mapreplay.recorders.log import header as metadata
 from mapreplay.recorders.log import limits
 from mapreplay.recorders.log import step_table as table
 from mapreplay.recorders.log.mcap.reader import read_records
-from mapreplay.recorders.log.messages import Topic
 from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.topics import Topic
 from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.step import FIRST_STAMP_NS
 from memory import bounded

@@ -16,7 +16,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from mapreplay.mapping import dequantize
-from mapreplay.recorders.log.messages import Topic
+from mapreplay.recorders.log.topics import Topic
 from mapreplay.step import FIRST_STAMP_NS, STEP_NS
 from recordings import Recorded
 

@@ -6,9 +6,9 @@ import pytest
 
 from mapreplay.config import EpisodeConfig
 from mapreplay.recorders.log.header import FORMAT_VERSION, episode_pairs, outcome_pairs
-from mapreplay.recorders.log.messages import Topic
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.schemas import own_definitions
+from mapreplay.recorders.log.topics import Topic
 from recordings import Recorded
 
 PAGE = (Path(__file__).parents[2] / "docs" / "log-format.md").read_text(encoding="utf-8")

@@ -1,5 +1,6 @@
 """Steps to ROS messages and back, bit for bit, and cells where they belong."""
 
+import struct
 from dataclasses import replace
 
 import numpy as np
@@ -12,16 +13,17 @@ from mapreplay.config import EpisodeConfig
 from mapreplay.errors import LogError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.grid import Cell, Grid, Origin, Quantized
-from mapreplay.recorders.log.messages import (
+from mapreplay.recorders.log.codec import (
     Encoded,
-    Topic,
-    check_geometry,
     decode_step,
     decode_truth,
     encode_step,
     encode_truth,
 )
+from mapreplay.recorders.log.geometry import check_geometry
+from mapreplay.recorders.log.reader import STEP_TOPICS
 from mapreplay.recorders.log.schemas import own_definitions, schema_text, typestore
+from mapreplay.recorders.log.topics import Topic
 from mapreplay.sensor import Sensor
 from mapreplay.step import (
     Candidate,
@@ -38,7 +40,7 @@ from mapreplay.step import (
     StepProfile,
     differences,
 )
-from oracle import from_cdr, to_cdr
+from oracle import from_cdr, messages_of, to_cdr
 
 reals = st.floats(width=64)
 shares = st.floats(0, 1) | st.just(float("nan"))
@@ -136,8 +138,10 @@ def test_a_step_comes_back_bit_for_bit(recorded: tuple[Step, EpisodeHeader]) -> 
 
 @given(recorded_steps())
 def test_messages_are_what_rosbags_would_write(recorded: tuple[Step, EpisodeHeader]) -> None:
-    """Byte for byte, and so padding included; rosbags reads each, and writes it again."""
-    for topic, data in encode_step(*recorded):
+    """Byte for byte, and so padding included, from the fields of each; and rosbags reads each."""
+    packed = list(encode_step(*recorded))
+    assert [m for m in packed if m.topic is not Topic.PREDICTED] == messages_of(*recorded)
+    for topic, data in packed:
         assert to_cdr(from_cdr(data, topic.type_name), topic.type_name) == data
 
 
@@ -177,10 +181,10 @@ def drawn() -> tuple[dict[str, bytes], EpisodeHeader]:
         decision=Decision(
             Candidate(Cell(1, 1), 0.5, 1.0, 1, 1), path, Mode.FAIL_SAFE, (), 2**64 - 1
         ),
-        metrics=StepMetrics(*range(len(StepMetrics.names()))),
+        metrics=StepMetrics(0.5, *[0.5] * (len(StepMetrics.names()) - 1)),
         events=(Event(EventKind.SEALED_IN, "no way"),),
         outcome=None,
-        profile=None,
+        profile=StepProfile(1, 2, 3, 4, 5),
     )
     return dict(encode_step(step, header)), header
 
@@ -273,6 +277,38 @@ def test_schema_texts_are_complete(topic: Topic) -> None:
     store.register(get_types_from_msg(schema_text(topic.type_name), topic.type_name))
     digest = typestore().hash_rihs01(topic.type_name)
     assert store.hash_rihs01(topic.type_name) == digest
+
+
+@pytest.mark.parametrize("topic", sorted(STEP_TOPICS))
+def test_a_message_that_is_cut_off_is_refused(drawn: Drawn, topic: Topic) -> None:
+    messages, header = drawn
+    whole = {name: [data] for name, data in messages.items()}
+    decode_step(whole, 7, header)
+    data = whole[topic][0]
+    # What follows the text of an event, and the ranges of a scan, is not read.
+    unread = {Topic.EVENTS: len(data) - data.find(b"no way\0") - 7, Topic.SCAN: 4}.get(topic, 0)
+    for size in range(len(data) - unread):
+        with pytest.raises((ValueError, struct.error)):
+            decode_step(whole | {topic: [data[:size]]}, 7, header)
+
+
+def test_a_message_in_another_frame_is_refused(drawn: Drawn) -> None:
+    messages, header = drawn
+    pose = messages[Topic.POSE].replace(b"map", b"odo")
+    with pytest.raises(ValueError, match="step 7: a message that is not in the frame map"):
+        decode_step(
+            {name: [data] for name, data in (messages | {Topic.POSE: pose}).items()}, 7, header
+        )
+
+
+def test_arrays_own_their_memory(drawn: Drawn) -> None:
+    """A view would keep its whole chunk alive, and could not be written to."""
+    messages, header = drawn
+    step = decode_step({name: [data] for name, data in messages.items()}, 7, header)
+    assert step.decision is not None
+    for array in (step.observed, step.fused, step.p_wall, step.frontier, step.decision.path):
+        array[:] = 0
+        assert array.base is None or array.base.flags.owndata
 
 
 def test_own_schemas_keep_their_comments() -> None:

@@ -29,8 +29,8 @@ from mapreplay.recorders.log.limits import (
     check_count,
     check_size,
 )
-from mapreplay.recorders.log.messages import Topic
 from mapreplay.recorders.log.schemas import MESSAGE_ENCODING
+from mapreplay.recorders.log.topics import Topic
 
 DAMAGE: Final = (
     ArithmeticError,
