@@ -19,16 +19,13 @@ from mapreplay.grid import Cell
 from mapreplay.pictures import Picture
 from mapreplay.recorders.pictures.annotations import Mark, shown_at
 from mapreplay.recorders.pictures.canvas import Sheet
+from mapreplay.recorders.pictures.captions import decision_words, event_words, three_digits
 from mapreplay.recorders.pictures.layers import (
     COMPARED,
     MapView,
     curves,
-    decision_words,
-    event_words,
-    first_parting,
     map_views,
     state_of,
-    three_digits,
 )
 from mapreplay.recorders.pictures.legend import LINE, draw_legend, entries, lines_of
 from mapreplay.recorders.pictures.painter import MapPainter
@@ -42,7 +39,7 @@ from mapreplay.recorders.pictures.palette import (
     State,
     Theme,
 )
-from mapreplay.recorders.pictures.replay import Series, names_of
+from mapreplay.recorders.pictures.replay import Series, first_divergence, names_of
 from mapreplay.step import Cells, Decision, EpisodeHeader, Event, Step
 
 if TYPE_CHECKING:
@@ -151,8 +148,8 @@ class Film:
         headers = [episode.header for episode in episodes]
         self._names = names_of(headers) if len(episodes) > 1 else [""]
         self._legend = entries(headers, [mark for e in episodes for mark in e.marks])
-        self._parting = (
-            first_parting(episodes[0].log, episodes[1].log) if len(episodes) > 1 else None
+        self._divergence = (
+            first_divergence(episodes[0].log, episodes[1].log) if len(episodes) > 1 else None
         )
 
     @property
@@ -306,10 +303,10 @@ class Film:
             steps = self._x(box, np.arange(len(line.values)))
             heights = box.y + box.height * (1 - line.values)
             sheet.line(_points(steps, heights), line.colour, line.width)
-        if self._parting is not None:
-            x = float(self._x(box, self._parting))
+        if self._divergence is not None:
+            x = float(self._x(box, self._divergence))
             sheet.line(_points([x, x], [box.y - 5, box.y + box.height]), theme.faint, 1.0)
-            text = f"part after step {self._parting}"
+            text = f"diverge after step {self._divergence}"
             left = area.x + sheet.width_of(heading, _TEXT, bold=True) + 14  # above the curves
             right = box.x + box.width - sheet.width_of(text, 10)
             sheet.text(max(left, min(x - 3, right)), area.y + 8, text, 10, theme.faint)

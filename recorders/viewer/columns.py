@@ -10,20 +10,17 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
-from mapreplay.floorplan import explorable
 from mapreplay.recorders.pictures.annotations import Mark, mark_colours
+from mapreplay.recorders.pictures.captions import decision_words, event_words, three_digits
 from mapreplay.recorders.pictures.layers import (
     COMPARED,
     cell_classes,
     curves,
-    decision_words,
     display_probability,
     error_classes,
-    event_words,
     has_truth,
     rays_of,
     state_of,
-    three_digits,
 )
 from mapreplay.recorders.pictures.palette import State
 from mapreplay.recorders.pictures.replay import Replay
@@ -99,7 +96,6 @@ class EpisodeColumns:
         self._root = root
         self._speaker = f"{name[:1]}: " if name else ""
         self._curves = COMPARED if name else curves(header)
-        self._explorable = explorable(header.floor_plan.cells, header.start)
         self._trail_end: Points = np.empty((0, 2), np.float32)
         self._shown: dict[Entity, npt.NDArray[np.uint8]] = {}
         self._state: State | None = None
@@ -154,7 +150,7 @@ class EpisodeColumns:
         }
         if has_truth(self._header):
             maps[Entity.ERROR] = [
-                error_classes(step.fused, truth, self._explorable) for step in steps
+                error_classes(step.fused, truth, self._header.explorable) for step in steps
             ]
         for entity, classes in maps.items():
             pictures = as_pictures(classes)

@@ -61,7 +61,7 @@ class Entity(StrEnum):
 
 # What belongs to all episodes of a recording together.
 LEGEND: Final = "/legend"
-PARTING: Final = "/parting"
+DIVERGENCE: Final = "/divergence"
 NOTE: Final = "/note"
 """In the place of a map that an episode does not have."""
 
@@ -225,7 +225,7 @@ def _below_several(panes: Sequence[Pane]) -> rrb.Container:
     plots = [
         _curves_view(
             curve.label[0].upper() + curve.label[1:],
-            [*(curve_path(curve, p.root) for p in panes), f"{PARTING}/at/**"],
+            [*(curve_path(curve, p.root) for p in panes), f"{DIVERGENCE}/at/**"],
         )
         for curve in COMPARED
     ]
@@ -273,6 +273,6 @@ def _events_view(panes: Sequence[Pane]) -> rrb.TextLogView:
     return rrb.TextLogView(
         origin="/",
         name="Events",
-        contents=[*(Entity.EVENTS.below(pane.root) for pane in panes), f"{PARTING}/events"],
+        contents=[*(Entity.EVENTS.below(pane.root) for pane in panes), f"{DIVERGENCE}/events"],
         columns=rrb.TextLogColumns(text_log_columns=[columns.Body]),
     )

@@ -33,10 +33,10 @@ from mapreplay.recorders.pictures.palette import (
 )
 from mapreplay.recorders.pictures.replay import LETTERS, Replay
 from mapreplay.recorders.viewer.layout import (
+    DIVERGENCE,
     LEGEND,
     NOTE,
     PAPER,
-    PARTING,
     TIMELINE,
     Entity,
     curve_path,
@@ -131,21 +131,21 @@ def send_legend(recording: rr.RecordingStream, replays: Sequence[Replay]) -> Non
     recording.log(NOTE, rr.TextDocument("This episode has none."), static=True)
 
 
-def send_parting(recording: rr.RecordingStream, name: str, step: int) -> None:
-    """Send where an episode parts from the first one: a line through the curves, and an event.
+def send_divergence(recording: rr.RecordingStream, name: str, step: int) -> None:
+    """Send where an episode diverges from the first one: a line through the curves, and an event.
 
     Args:
         recording: where to.
-        name: of the episode that parts.
+        name: of the episode that diverges.
         step: the last step at which they are the same.
     """
     index = rr.TimeColumn(TIMELINE, sequence=[step])
-    text = f"{name[:1]} parts from the first after step {step}"
-    recording.send_columns(f"{PARTING}/events", [index], rr.TextLog.columns(text=[text]))
-    path = f"{PARTING}/at/{name[:1]}"
+    text = f"{name[:1]} diverges from the first after step {step}"
+    recording.send_columns(f"{DIVERGENCE}/events", [index], rr.TextLog.columns(text=[text]))
+    path = f"{DIVERGENCE}/at/{name[:1]}"
     line = rr.SeriesLines(
         colors=[(150, 150, 150)],
-        names=[f"{name[:1]} parts here"],
+        names=[f"{name[:1]} diverges here"],
         widths=[1.5],
         aggregation_policy=rr.components.AggregationPolicy.Off,
     )
