@@ -1,7 +1,7 @@
-"""Text, boxes and lines on pictures; the font is the one that comes with matplotlib.
+"""Text, boxes and lines on pictures, in the font that comes with matplotlib.
 
-A `Sheet` is measured in points: `unit` pixels each, so that a picture of twice the size is the
-same picture.
+A `Sheet` is measured in points: `unit` pixels each, so that a picture of twice the size has
+the same layout.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ _SHIFT: Final = 4
 
 @lru_cache(maxsize=64)
 def font(pixels: int, *, bold: bool = False) -> ImageFont.FreeTypeFont:
-    """DejaVu Sans of so many pixels."""
+    """DejaVu Sans with this height in pixels."""
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
     # The layout without libraqm: it is the same on every machine.
     return ImageFont.truetype(_FONTS / name, pixels, layout_engine=ImageFont.Layout.BASIC)
 
 
 class Sheet:
-    """A picture to be drawn on; all numbers are points, from the top left."""
+    """A picture to draw on; all numbers are points, from the top left."""
 
     def __init__(self, width: float, height: float, unit: float, paper: Colour) -> None:
         self.unit: Final = unit
@@ -42,11 +42,11 @@ class Sheet:
         """uint8[h, w, 3]."""
 
     def px(self, points: float) -> int:
-        """So many points in pixels."""
+        """Points in pixels, rounded."""
         return round(points * self.unit)
 
     def width_of(self, text: str, size: float, *, bold: bool = False) -> float:
-        """How wide a line is, in points."""
+        """The width of a line of text, in points."""
         return float(font(self.px(size), bold=bold).getlength(printable(text))) / self.unit
 
     def text(
@@ -60,7 +60,7 @@ class Sheet:
         bold: bool = False,
         align: Literal["l", "m", "r"] = "l",
     ) -> None:
-        """A line whose vertical middle is at `y`, beginning, centred or ending at `x`."""
+        """A line of text, vertically centred at `y`; it starts, is centred or ends at `x`."""
         if not text:
             return
         face = font(self.px(size), bold=bold)
@@ -124,7 +124,7 @@ class Sheet:
 
     def shortened(self, text: str, size: float, width: float) -> str:
         """The text, its end cut off where it does not fit into `width` points."""
-        # No letter is narrower than a point: of a longer text the rest is not even measured.
+        # No letter is narrower than a point: the rest of a longer text is not even measured.
         text = printable(text)[: max(0, int(width)) + 1]
         if self.width_of(text, size) <= width:
             return text

@@ -14,7 +14,7 @@ def event_words(event: Event) -> str:
 
 
 def decision_words(step: Step) -> str:
-    """Why the agent goes where it goes, in a sentence; how the episode ended at its last step."""
+    """Why the agent chose its target, in a sentence; at the last step, how the episode ended."""
     decision = step.decision
     if decision is None:
         ended = [event.text for event in step.events if event.kind is EventKind.OUTCOME]
@@ -24,7 +24,7 @@ def decision_words(step: Step) -> str:
         words += " by the fail-safe"
     if decision.random_draw is not None:
         return f"{words}: drawn at random, {decision.chosen.cost:.1f} cells away"
-    if decision.chosen.utility == decision.chosen.reward == 1:  # nothing was weighed
+    if decision.chosen.utility == decision.chosen.reward == 1:  # nothing was compared
         return f"{words}: its target as before, {decision.chosen.cost:.1f} cells away"
     words += f": {_rating(decision.chosen)}"
     if decision.rivals:
@@ -37,7 +37,7 @@ def _rating(candidate: Candidate) -> str:
     if math.isnan(utility):
         return f"{cost:.1f} cells away"
     rated = f"utility {_utility(candidate)}"
-    # A planner of somebody else may weigh in another way.
+    # A planner of a plug-in may define utility in another way.
     if math.isclose(utility, reward / (1 + cost), rel_tol=1e-6):
         return f"{rated} = gain {reward:.1f} / (1 + {cost:.1f})"
     return f"{rated}, gain {reward:.1f}, {cost:.1f} cells away"

@@ -26,7 +26,7 @@ class MapView(StrEnum):
 
     @property
     def heading(self) -> str:
-        """What stands over it."""
+        """Its heading."""
         return _TITLES[self]
 
 
@@ -45,12 +45,12 @@ def has_prediction(header: EpisodeHeader) -> bool:
 
 
 def has_truth(header: EpisodeHeader) -> bool:
-    """Whether the true map is known, so that there is right and wrong."""
+    """Whether the true map is known."""
     return header.floor_plan.has_truth
 
 
 def map_views(header: EpisodeHeader) -> tuple[MapView, ...]:
-    """The maps that say something, in the order in which they stand side by side."""
+    """The maps that have content, in their order from left to right."""
     views = [MapView.OBSERVED]
     if has_prediction(header):
         views.append(MapView.PREDICTED)
@@ -61,7 +61,7 @@ def map_views(header: EpisodeHeader) -> tuple[MapView, ...]:
 
 
 def curves(header: EpisodeHeader) -> tuple[Curve, ...]:
-    """The curves that say something: without a prediction, fused is observed."""
+    """The curves that differ: without a prediction, fused is observed."""
     if not has_truth(header):
         return ()
     if has_prediction(header):
@@ -82,10 +82,10 @@ def cell_classes(cells: Grid) -> npt.NDArray[np.uint8]:
 
 
 def error_classes(cells: Grid, truth: Grid, region: Mask) -> npt.NDArray[np.uint8]:
-    """uint8[H, W] of `CellClass`: `cells` with its mistakes marked.
+    """uint8[H, W] of `CellClass`: `cells` with its errors marked.
 
-    What is right keeps its class, and what is still unknown, too. Cells outside of `region`
-    (bool[H, W], the explorable ones) are a class of their own: there is no right or wrong.
+    Cells that are right or still unknown keep their class. Cells outside of `region` (bool[H, W],
+    the explorable ones) are a class of their own: they are neither right nor wrong.
     """
     classes = cell_classes(cells)
     classes[(cells == OCCUPIED) & (truth == FREE)] = CellClass.FALSE_WALL
@@ -107,13 +107,13 @@ class Rays(NamedTuple):
     ends: Cells
     """int32[rays, 2]: the last cell that each ray marked; the agent's where it marked none."""
     hit: npt.NDArray[np.bool_]
-    """bool[rays]: whether a wall stopped it there."""
+    """bool[rays]: whether a wall stopped the ray there."""
 
 
 def rays_of(step: Step, header: EpisodeHeader) -> Rays:
     """The rays of a step: each ends where it hit, or at the end of its range or of the grid.
 
-    Of a step without a scan there are none.
+    A step without a scan has none.
     """
     if not len(step.hits):
         return Rays(np.empty((0, 2), np.int32), np.empty(0, np.bool_))
@@ -128,7 +128,7 @@ def rays_of(step: Step, header: EpisodeHeader) -> Rays:
 
 
 def state_of(step: Step) -> State:
-    """What the agent is at: the outcome at the last step, before that its mode."""
+    """The state of the agent: its mode, and at the last step the outcome."""
     if step.outcome is not None:
         return _ENDINGS[step.outcome]
     return State.FAIL_SAFE if step.mode is Mode.FAIL_SAFE else State.EXPLORING

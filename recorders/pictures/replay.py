@@ -1,4 +1,4 @@
-"""What is to be shown of an episode, and what several episodes shown together are called."""
+"""Episodes to be shown: what of each, their names, and where two diverge."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ class Replay:
     profiled: bool = False
     """Whether the steps have the time of each stage."""
     scores: dict[Curve, Series] = field(default_factory=dict)
-    """Where only these are shown."""
+    """The curves, if only these are shown."""
     diverges_at: int | None = None
     """The step from which it diverges from the first of those that it is shown with."""
 
     @property
     def has_maps(self) -> bool:
-        """Whether more than the scores is shown."""
+        """Whether the maps are shown too."""
         return not self.scores
 
     @classmethod
@@ -99,7 +99,7 @@ def replays_of(
 
 
 def names_of(headers: Sequence[EpisodeHeader]) -> list[str]:
-    """What episodes that are shown together are called: a letter, and in what they differ.
+    """Names of episodes that are shown together: a letter, and what they differ in.
 
     ``A nearest observed-observed``, ``B cost-utility fused-fused``; the letter alone where
     they differ in nothing.
