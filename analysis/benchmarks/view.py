@@ -25,7 +25,8 @@ from mapreplay.predictors import Predictor
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.recorders.pictures.replay import Replay
-from mapreplay.recorders.viewer.view import save_rrd, viewer_program
+from mapreplay.recorders.viewer.recording import save_rrd
+from mapreplay.recorders.viewer.servers import viewer_program
 from mapreplay.workers import Program
 
 _SMALLEST: Final = 64

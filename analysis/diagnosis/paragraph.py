@@ -112,7 +112,7 @@ def _blame(sealing: Sealing, reliability: Reliability) -> list[str]:
     if not sealing.blame:
         return []
     blame = sealing.blame[0]
-    which = "It" if len(sealing.blame) == 1 else "The first"
+    which = "The false wall" if len(sealing.blame) == 1 else "The first of them"
     right, count = reliability.right(blame.p_wall)
     how_often = (
         f" (predictions this confident are right {share(right)} of the time, n = {count})"
@@ -131,7 +131,7 @@ def _blame(sealing: Sealing, reliability: Reliability) -> list[str]:
     flicker = f" It had flickered {_times(blame.flickers)}." if blame.flickers else ""
     seen = "never observed" if blame.seen_at is None else f"observed at step {blame.seen_at}"
     history = (
-        f"{which} was predicted to be a wall since step {blame.since}{distance}, where "
+        f"{which} was predicted since step {blame.since}{distance}, where "
         f"{evidence}, with P = {blame.p_wall:.3f} at the sealing{how_often}; it was {seen}."
         f"{flicker}"
     )

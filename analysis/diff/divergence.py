@@ -14,7 +14,7 @@ from typing import Final
 
 from mapreplay.grid import Cell
 from mapreplay.recorders.log.reader import EpisodeLog
-from mapreplay.recorders.pictures.layers import side_by_side
+from mapreplay.recorders.pictures.replay import side_by_side
 from mapreplay.step import MAX_RIVALS, Cells, Decision, EpisodeHeader, Step, differences
 
 

@@ -24,7 +24,8 @@ from rerun.experimental import ViewerClient
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.pictures.animation import few_colours
 from mapreplay.recorders.pictures.replay import replays_of
-from mapreplay.recorders.viewer.view import save_rrd, viewer_program
+from mapreplay.recorders.viewer.recording import save_rrd
+from mapreplay.recorders.viewer.servers import viewer_program
 
 NOTICES_SECONDS = 10
 """How long notices of the viewer's start cover a part of it."""

@@ -202,7 +202,7 @@ def _watch(tasks: list[Task]) -> list[Path]:
     from mapreplay.episode import prepare_episode, record
     from mapreplay.predictors import load_predictor
     from mapreplay.recorders.log.writer import EpisodeWriter
-    from mapreplay.recorders.viewer.view import LiveView, require_display_here
+    from mapreplay.recorders.viewer.servers import LiveView, require_display_here
 
     try:
         require_display_here()

@@ -85,7 +85,7 @@ def view(
         _end(opened, unreadable)
         return
     from mapreplay.recorders.pictures.replay import replays_of
-    from mapreplay.recorders.viewer.view import require_display_here
+    from mapreplay.recorders.viewer.servers import require_display_here
 
     if not asked:
         require_display_here()  # before all the reading
@@ -192,7 +192,8 @@ def _draw(
 def _show(
     replays: list[Replay], step: int | None, save: Path | None, *, web: bool, force: bool
 ) -> None:
-    from mapreplay.recorders.viewer.view import open_viewer, save_rrd, serve_web
+    from mapreplay.recorders.viewer.recording import save_rrd
+    from mapreplay.recorders.viewer.servers import open_viewer, serve_web
 
     if save is not None:
         save_rrd(save, replays, force=force)

@@ -16,7 +16,7 @@ from mapreplay.grid import FREE, OCCUPIED, Mask
 from mapreplay.pictures import Picture
 
 Scale: TypeAlias = Literal["fit", "same"]
-"""``fit``: each map fills its tile; ``same``: all have as many pixels a metre."""
+"""``fit``: each map fills its tile; ``same``: all have the same pixels per metre."""
 
 MAX_PICTURE_PIXELS: Final = 100_000_000
 
@@ -66,7 +66,7 @@ def contact_sheet(
 
     Args:
         plans: at least one.
-        columns: tiles in a row; None chooses a sheet that is a little wider than high.
+        columns: tiles in a row; None chooses a sheet that is slightly wider than high.
         tile_pixels: side of the square that each map is drawn in, 32 to 2048.
         scale: ``fit`` or ``same``.
 
@@ -131,12 +131,12 @@ def _draw(plan: FloorPlan, mask: Mask, crop: _Crop, pixels_per_cell: float) -> P
     colours[mask & (plan.cells == FREE)] = _FREE
     walls = (mask & (plan.cells == OCCUPIED)).astype(np.uint8)
     thickness = round(_THINNEST_WALL / pixels_per_cell)
-    if thickness > 1:  # else the walls of a large map would fade away
+    if thickness > 1:  # otherwise the walls of a large map would fade
         walls = np.asarray(cv2.dilate(walls, np.ones((thickness, thickness), np.uint8)), np.uint8)
     colours[walls > 0] = _WALL
     cut = colours[crop.low_row : crop.high_row, crop.low_col : crop.high_col][::-1]
     height, width = (max(1, int(n * pixels_per_cell)) for n in cut.shape[:2])
-    # Whole pixels a cell first, then an average: all cells look equally large.
+    # Whole pixels per cell first, then an average: all cells look equally large.
     factor = max(1, math.ceil(pixels_per_cell))
     fine = cut.repeat(factor, axis=0).repeat(factor, axis=1)
     return np.asarray(cv2.resize(fine, (width, height), interpolation=cv2.INTER_AREA), np.uint8)

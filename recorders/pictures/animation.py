@@ -1,4 +1,4 @@
-"""Frames as files: one picture, or all of an episode as GIF or MP4."""
+"""Frames as files: one as PNG, or all of an episode as GIF or MP4."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from mapreplay.recorders.pictures.palette import (
 
 FRAMES_PER_SECOND: Final = 10.0
 _LAST_SECONDS: Final = 2.0
-"""How long a film rests on its last frame before it begins again."""
+"""How long a film stays at its last frame before it starts again."""
 
 
 def save_png(path: Path, film: Film, step: int, *, force: bool = False) -> None:
@@ -44,7 +44,7 @@ def save_png(path: Path, film: Film, step: int, *, force: bool = False) -> None:
 
 
 def save_gif(path: Path, film: Film, every: int = 1, *, force: bool = False) -> None:
-    """Write every so many-th step as an endless GIF.
+    """Write every Nth step as an endless GIF.
 
     Raises:
         LogError, ExistsError, WriteError: as `save_png`.
@@ -67,7 +67,7 @@ def save_gif(path: Path, film: Film, every: int = 1, *, force: bool = False) -> 
 
 
 def save_mp4(path: Path, film: Film, every: int = 1, *, force: bool = False) -> None:
-    """Write every so many-th step as MP4 (VP9, which browsers and players show).
+    """Write every Nth step as MP4 (VP9, which browsers and players support).
 
     Raises:
         LogError: as `save_png`, or this build of OpenCV cannot encode VP9.
@@ -76,14 +76,16 @@ def save_mp4(path: Path, film: Film, every: int = 1, *, force: bool = False) -> 
     try:
         str(path.parent).encode()
     except UnicodeEncodeError:
-        raise LogError(f"{path}: OpenCV writes no names that are not UTF-8; use --gif") from None
+        raise LogError(
+            f"{path}: OpenCV cannot write to names that are not UTF-8; use --gif"
+        ) from None
     with whole_path(path, force=force) as draft:
         frames = film.frames(every)
         first = next(frames)
         height, width = first.shape[:2]
         # An encoder needs even numbers.
         size = (width - width % 2, height - height % 2)
-        # What FFmpeg says on stderr by itself; -8 is its "quiet".
+        # FFmpeg writes to stderr by itself; -8 is its level "quiet".
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
         code = cv2.VideoWriter.fourcc(*"vp09")
         writer = cv2.VideoWriter(str(draft), cv2.CAP_FFMPEG, code, FRAMES_PER_SECOND, size)
@@ -101,7 +103,7 @@ def save_mp4(path: Path, film: Film, every: int = 1, *, force: bool = False) -> 
                 written += 1
         finally:
             writer.release()
-        if _frames_in(draft) != written:  # the writer says nothing of a full disk
+        if _frames_in(draft) != written:  # the writer does not report a full disk
             raise WriteError(f"{path}: cannot be written (no more than a part of it; a full disk?)")
 
 
@@ -109,7 +111,7 @@ def _frames_in(path: Path) -> int:
     """How many frames of a film can be read back."""
     level = cv2.utils.logging.setLogLevel(
         cv2.utils.logging.LOG_LEVEL_SILENT
-    )  # or it says by itself that it cannot be read
+    )  # or it reports by itself that it cannot be read
     reader = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     try:
         count = 0
@@ -122,8 +124,8 @@ def _frames_in(path: Path) -> int:
 
 
 def few_colours(picture: Picture) -> Image.Image:
-    """The picture in 255 fixed colours, ours among them: nothing flickers in a film, and what
-    has a meaning keeps its colour.
+    """The picture in 255 fixed colours, with those of the palette: a film does not flicker, and
+    a colour keeps its meaning.
     """
     return Image.fromarray(picture).quantize(palette=_palette(), dither=Image.Dither.NONE)
 
@@ -134,7 +136,7 @@ def _palette() -> Image.Image:
     for theme in THEMES.values():
         named += [theme.paper, theme.ink, theme.faint, theme.line]
     distinct = np.array(list(dict.fromkeys(named)), np.float64)
-    # Edges of lines and of letters are half of them.
+    # Edges of lines and letters are half of each.
     light = np.rint((distinct + LIGHT.paper) / 2)
     dark = np.rint((distinct + DARK.paper) / 2)
     greys = np.linspace(0, 255, 40).repeat(3).reshape(-1, 3)
@@ -146,7 +148,7 @@ def _palette() -> Image.Image:
 
 
 def _cropped(picture: Picture, size: tuple[int, int]) -> Picture:
-    """The picture as OpenCV takes it: blue, green, red, of that width and height."""
+    """The picture as OpenCV's writer takes it: blue, green, red, of that width and height."""
     return np.ascontiguousarray(picture[: size[1], : size[0], ::-1])
 
 

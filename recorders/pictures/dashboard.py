@@ -1,4 +1,4 @@
-"""The layout of the viewer as one picture, drawn without a viewer: maps, curves, words.
+"""The layout of the viewer as one picture, drawn without the viewer: maps, curves, words.
 
 film = Film([Filmed.of(log)])
 rgb = film.frame(60)
@@ -19,16 +19,13 @@ from mapreplay.grid import Cell
 from mapreplay.pictures import Picture
 from mapreplay.recorders.pictures.annotations import Mark, shown_at
 from mapreplay.recorders.pictures.canvas import Sheet
+from mapreplay.recorders.pictures.captions import decision_words, event_words, three_digits
 from mapreplay.recorders.pictures.layers import (
     COMPARED,
     MapView,
     curves,
-    decision_words,
-    event_words,
-    first_parting,
     map_views,
     state_of,
-    three_digits,
 )
 from mapreplay.recorders.pictures.legend import LINE, draw_legend, entries, lines_of
 from mapreplay.recorders.pictures.painter import MapPainter
@@ -42,7 +39,7 @@ from mapreplay.recorders.pictures.palette import (
     State,
     Theme,
 )
-from mapreplay.recorders.pictures.replay import Series, names_of
+from mapreplay.recorders.pictures.replay import Series, first_divergence, names_of
 from mapreplay.step import Cells, Decision, EpisodeHeader, Event, Step
 
 if TYPE_CHECKING:
@@ -58,16 +55,16 @@ _TITLE: Final = 14.0
 _GAP: Final = 14.0
 _HEAD: Final = 40.0
 _BELOW: Final = (262.0, 190.0)
-"""Height of what stands under the legend, at least, for one episode and for two."""
+"""Minimum height below the legend, for one episode and for two."""
 _WORDS: Final = 340.0
-"""Width of what stands beside the maps of each of two episodes."""
+"""Width of the text next to the maps of each of two episodes."""
 _BAND: Final = 17.0
 """Height of a bar of states."""
 
 
 @dataclass(frozen=True, eq=False)
 class Filmed:
-    """An episode to be drawn: its steps one by one, and what a frame shows of all of them."""
+    """An episode to be drawn: its log, and what a frame shows of all steps."""
 
     log: EpisodeLog
     marks: Sequence[Mark]
@@ -80,7 +77,7 @@ class Filmed:
 
     @classmethod
     def of(cls, log: EpisodeLog, marks: Sequence[Mark] = ()) -> Self:
-        """Read what is needed of a log.
+        """Read what is needed from a log.
 
         Raises:
             LogError: the log is damaged.
@@ -88,7 +85,9 @@ class Filmed:
         track, states, events = list[Cell](), list[State](), list[tuple[int, Event]]()
         scores: dict[Curve, list[float]] = {curve: [] for curve in Curve}
         for step in log.steps():
-            lost = step.index - len(track)  # of a recovered log: it stays where it was seen last
+            lost = step.index - len(
+                track
+            )  # missing in a recovered log: the agent stays where it was
             track += [track[-1] if track else step.agent] * lost + [step.agent]
             states += [states[-1] if states else state_of(step)] * lost + [state_of(step)]
             events += [(step.index, event) for event in step.events]
@@ -125,7 +124,7 @@ class _Area(NamedTuple):
 
 
 class Film:
-    """Draws the steps of one episode, or of two above each other, as frames of one size."""
+    """Draws the steps of one episode, or of two one above the other, as frames of one size."""
 
     def __init__(
         self, episodes: Sequence[Filmed], size: tuple[int, int] = (1920, 1080), theme: Theme = LIGHT
@@ -135,7 +134,7 @@ class Film:
         Args:
             episodes: one or two; of two, A stands above B, on the same step.
             size: width and height in pixels; an even number of each, for films.
-            theme: what is around the maps.
+            theme: the colours around the maps.
 
         Raises:
             UsageError: more than two episodes, or a size out of range.
@@ -143,7 +142,9 @@ class Film:
         if not 1 <= len(episodes) <= 2:
             raise UsageError(f"{len(episodes)} episodes; a picture shows one or two")
         if not all(low <= n <= top for n, low, top in zip(size, MIN_SIZE, MAX_SIZE, strict=True)):
-            raise UsageError(f"{size[0]}x{size[1]}: a picture has 640x360 to 7680x4320 pixels")
+            raise UsageError(
+                f"{size[0]}x{size[1]}: a picture must have 640x360 to 7680x4320 pixels"
+            )
         self._episodes = episodes
         self._theme = theme
         self._unit = size[0] / WIDTH
@@ -151,8 +152,8 @@ class Film:
         headers = [episode.header for episode in episodes]
         self._names = names_of(headers) if len(episodes) > 1 else [""]
         self._legend = entries(headers, [mark for e in episodes for mark in e.marks])
-        self._parting = (
-            first_parting(episodes[0].log, episodes[1].log) if len(episodes) > 1 else None
+        self._divergence = (
+            first_divergence(episodes[0].log, episodes[1].log) if len(episodes) > 1 else None
         )
 
     @property
@@ -161,7 +162,7 @@ class Film:
         return max(episode.last for episode in self._episodes)
 
     def frame(self, index: int) -> Picture:
-        """uint8[h, w, 3]: step `index`; an episode that is over stays at its last step.
+        """uint8[h, w, 3]: step `index`; an episode that has ended stays at its last step.
 
         Raises:
             LogError: a log is damaged.
@@ -169,7 +170,7 @@ class Film:
         return self._draw([e.log[min(index, e.last)] for e in self._episodes], index)
 
     def frames(self, every: int = 1) -> Iterator[Picture]:
-        """Every so many-th step from the first, and the last one.
+        """Every Nth step from the first, and the last one.
 
         Raises:
             LogError: a log is damaged.
@@ -211,7 +212,7 @@ class Film:
 
     @property
     def _columns(self) -> list[MapView]:
-        """The maps that stand side by side: all that one of the episodes has."""
+        """The maps side by side: all that at least one of the episodes has."""
         return [v for v in MapView if any(v in map_views(e.header) for e in self._episodes)]
 
     def _fitting(self, width: float) -> float:
@@ -248,7 +249,7 @@ class Film:
             sheet.text(x, area.y + 8, title, _TEXT, self._theme.ink, bold=True)
             box = _Area(x, area.y + 20, width, area.height - 20)
             if view not in map_views(episode.header):
-                sheet.text(x, box.y + 12, "This episode has none.", _TEXT, self._theme.faint)
+                sheet.text(x, box.y + 12, "Not in this episode.", _TEXT, self._theme.faint)
                 continue
             picture = episode.painter.draw(
                 view,
@@ -258,7 +259,7 @@ class Film:
                 track=episode.track[: step.index + 1],
                 marks=episode.marks,
             )
-            # What is left of the box is on its right, under the title that begins at its left.
+            # The picture is aligned with its title, at the left of the box.
             sheet.paste(box.x, box.y, picture)
 
     def _draw_below_one(self, sheet: Sheet, area: _Area, step: Step, index: int) -> None:
@@ -306,10 +307,10 @@ class Film:
             steps = self._x(box, np.arange(len(line.values)))
             heights = box.y + box.height * (1 - line.values)
             sheet.line(_points(steps, heights), line.colour, line.width)
-        if self._parting is not None:
-            x = float(self._x(box, self._parting))
+        if self._divergence is not None:
+            x = float(self._x(box, self._divergence))
             sheet.line(_points([x, x], [box.y - 5, box.y + box.height]), theme.faint, 1.0)
-            text = f"part after step {self._parting}"
+            text = f"diverge after step {self._divergence}"
             left = area.x + sheet.width_of(heading, _TEXT, bold=True) + 14  # above the curves
             right = box.x + box.width - sheet.width_of(text, 10)
             sheet.text(max(left, min(x - 3, right)), area.y + 8, text, 10, theme.faint)
@@ -331,7 +332,7 @@ class Film:
             for state, first, last in _runs(episode.states):
                 begin, end = float(self._x(area, first)), float(self._x(area, last + 1))
                 if last == episode.last:
-                    end = max(end, begin + 4.0)  # the last state lasts one step
+                    end = max(end, begin + 4.0)  # the last state has only one step
                 sheet.box(begin, y, end - begin, _BAND - 3, STATE_COLOURS[state])
             name = f"{self._names[row][:1]} state".strip()
             sheet.text(area.x + area.width + 10, y + 7, name, 11, self._theme.ink)
@@ -362,7 +363,7 @@ class Film:
             y += _ROW
 
     def _draw_candidates(self, sheet: Sheet, x: float, y: float, decision: Decision) -> float:
-        """The chosen target and its rivals in a table; where it ends."""
+        """The chosen target and its rivals in a table; returns the y below it."""
         theme = self._theme
         columns = (x, x + 150, x + 230, x + 330)
         heads = ("(row, col)", "utility", "gain", "cells away")

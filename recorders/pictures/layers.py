@@ -1,9 +1,7 @@
-"""What of a step is shown, in cells and in words; how it is drawn is the drawers' business."""
+"""The layers of a step that are shown: maps, errors, rays, states; `painter` draws them."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator
 from enum import StrEnum
 from typing import Final, NamedTuple
 
@@ -14,17 +12,7 @@ from mapreplay.grid import FREE, OCCUPIED, Grid, Mask, Quantized
 from mapreplay.mapping import dequantize
 from mapreplay.predictors import NoPredictor
 from mapreplay.recorders.pictures.palette import CellClass, Curve, State
-from mapreplay.step import (
-    Candidate,
-    Cells,
-    EpisodeHeader,
-    Event,
-    EventKind,
-    Mode,
-    Outcome,
-    Step,
-)
-from mapreplay.text import printable
+from mapreplay.step import Cells, EpisodeHeader, Mode, Outcome, Step
 
 
 class MapView(StrEnum):
@@ -38,7 +26,7 @@ class MapView(StrEnum):
 
     @property
     def heading(self) -> str:
-        """What stands over it."""
+        """Its heading."""
         return _TITLES[self]
 
 
@@ -57,12 +45,12 @@ def has_prediction(header: EpisodeHeader) -> bool:
 
 
 def has_truth(header: EpisodeHeader) -> bool:
-    """Whether the true map is known, so that there is right and wrong."""
+    """Whether the true map is known."""
     return header.floor_plan.has_truth
 
 
 def map_views(header: EpisodeHeader) -> tuple[MapView, ...]:
-    """The maps that say something, in the order in which they stand side by side."""
+    """The maps that have content, in their order from left to right."""
     views = [MapView.OBSERVED]
     if has_prediction(header):
         views.append(MapView.PREDICTED)
@@ -73,7 +61,7 @@ def map_views(header: EpisodeHeader) -> tuple[MapView, ...]:
 
 
 def curves(header: EpisodeHeader) -> tuple[Curve, ...]:
-    """The curves that say something: without a prediction, fused is observed."""
+    """The curves that differ: without a prediction, fused is observed."""
     if not has_truth(header):
         return ()
     if has_prediction(header):
@@ -94,10 +82,10 @@ def cell_classes(cells: Grid) -> npt.NDArray[np.uint8]:
 
 
 def error_classes(cells: Grid, truth: Grid, region: Mask) -> npt.NDArray[np.uint8]:
-    """uint8[H, W] of `CellClass`: `cells` with its mistakes marked.
+    """uint8[H, W] of `CellClass`: `cells` with its errors marked.
 
-    What is right keeps its class, and what is still unknown, too. Cells outside of `region`
-    (bool[H, W], the explorable ones) are a class of their own: there is no right or wrong.
+    Cells that are right or still unknown keep their class. Cells outside of `region` (bool[H, W],
+    the explorable ones) are a class of their own: they are neither right nor wrong.
     """
     classes = cell_classes(cells)
     classes[(cells == OCCUPIED) & (truth == FREE)] = CellClass.FALSE_WALL
@@ -119,13 +107,13 @@ class Rays(NamedTuple):
     ends: Cells
     """int32[rays, 2]: the last cell that each ray marked; the agent's where it marked none."""
     hit: npt.NDArray[np.bool_]
-    """bool[rays]: whether a wall stopped it there."""
+    """bool[rays]: whether a wall stopped the ray there."""
 
 
 def rays_of(step: Step, header: EpisodeHeader) -> Rays:
     """The rays of a step: each ends where it hit, or at the end of its range or of the grid.
 
-    Of a step without a scan there are none.
+    A step without a scan has none.
     """
     if not len(step.hits):
         return Rays(np.empty((0, 2), np.int32), np.empty(0, np.bool_))
@@ -140,7 +128,7 @@ def rays_of(step: Step, header: EpisodeHeader) -> Rays:
 
 
 def state_of(step: Step) -> State:
-    """What the agent is at: the outcome at the last step, before that its mode."""
+    """The state of the agent: its mode, and at the last step the outcome."""
     if step.outcome is not None:
         return _ENDINGS[step.outcome]
     return State.FAIL_SAFE if step.mode is Mode.FAIL_SAFE else State.EXPLORING
@@ -151,86 +139,3 @@ _ENDINGS: Final = {
     Outcome.SEALED_IN: State.SEALED_IN,
     Outcome.OUT_OF_STEPS: State.OUT_OF_STEPS,
 }
-
-
-def event_words(event: Event) -> str:
-    """An event as a line: ``sealed in: the fused map has no frontier within reach``."""
-    return printable(f"{event.kind}: {event.text}".replace("_", " "))
-
-
-def decision_words(step: Step) -> str:
-    """Why the agent goes where it goes, in a sentence; how the episode ended at its last step."""
-    decision = step.decision
-    if decision is None:
-        ended = [event.text for event in step.events if event.kind is EventKind.OUTCOME]
-        return ended[-1].replace("_", " ") if ended else "no target is logged"
-    words = f"went to {_cell(decision.chosen)}"
-    if decision.mode is Mode.FAIL_SAFE:
-        words += " by the fail-safe"
-    if decision.random_draw is not None:
-        return f"{words}: drawn at random, {decision.chosen.cost:.1f} cells away"
-    if decision.chosen.utility == decision.chosen.reward == 1:  # nothing was weighed
-        return f"{words}: its target as before, {decision.chosen.cost:.1f} cells away"
-    words += f": {_rating(decision.chosen)}"
-    if decision.rivals:
-        words += f"; runner-up {_cell(decision.rivals[0])} {_utility(decision.rivals[0])}"
-    return words
-
-
-def _rating(candidate: Candidate) -> str:
-    utility, reward, cost = candidate.utility, candidate.reward, candidate.cost
-    if math.isnan(utility):
-        return f"{cost:.1f} cells away"
-    rated = f"utility {_utility(candidate)}"
-    # A planner of somebody else may weigh in another way.
-    if math.isclose(utility, reward / (1 + cost), rel_tol=1e-6):
-        return f"{rated} = gain {reward:.1f} / (1 + {cost:.1f})"
-    return f"{rated}, gain {reward:.1f}, {cost:.1f} cells away"
-
-
-def _utility(candidate: Candidate) -> str:
-    return three_digits(candidate.utility)
-
-
-def three_digits(number: float) -> str:
-    """The number with three significant digits: 1.70, 48.2, 0.0625, 1.23e+03."""
-    return f"{number:#.3g}".rstrip(".")
-
-
-def _cell(candidate: Candidate) -> str:
-    return f"({candidate.cell.row}, {candidate.cell.col})"
-
-
-def first_parting(a: Iterable[Step], b: Iterable[Step]) -> int | None:
-    """The step from which two episodes part, or None: the last that is the same to the agent.
-
-    They are the same while the agents stand on the same cell and have observed the same map,
-    on floor plans of the same size: at the step that is returned the agents move apart, or one
-    of them ends. 0 also where they never were the same.
-    """
-    for one, other in side_by_side(a, b):
-        if (
-            one is None
-            or other is None
-            or one.agent != other.agent
-            or not np.array_equal(one.observed, other.observed)
-        ):
-            return max(0, (one.index if one else other.index if other else 0) - 1)
-    return None
-
-
-def side_by_side(a: Iterable[Step], b: Iterable[Step]) -> Iterator[tuple[Step | None, Step | None]]:
-    """The steps of two episodes by number; None where one has ended.
-
-    A step that one of them misses in the middle, because it is recovered, is left out.
-    """
-    of_a, of_b = iter(a), iter(b)
-    one, other = next(of_a, None), next(of_b, None)
-    while one is not None or other is not None:
-        if one is not None and other is not None and one.index < other.index:
-            one = next(of_a, None)
-        elif one is not None and other is not None and other.index < one.index:
-            other = next(of_b, None)
-        else:
-            yield one, other
-            one, other = next(of_a, None), next(of_b, None)

@@ -1,4 +1,4 @@
-"""The legend of the maps: what each colour and each sign means."""
+"""The legend of the maps: what each colour and sign means."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _BAR: Final = 72.0
 
 
 class Sign(StrEnum):
-    """How a thing is drawn."""
+    """How something is drawn."""
 
     CELL = "cell"
     DOT = "dot"

@@ -39,9 +39,9 @@ from mapreplay.recorders.pictures.palette import (
 from mapreplay.step import Cells, EpisodeHeader, Step
 
 _SHIFT: Final = 4
-"""OpenCV's coordinates are fixed-point numbers with so many bits behind the point."""
+"""OpenCV's coordinates are fixed-point numbers with this many fractional bits."""
 _WHOLE_FROM: Final = 12.0
-"""Cells of at least so many pixels are drawn with a whole number of them."""
+"""Cells of at least this many pixels are drawn with a whole number of them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +51,10 @@ class MapPainter:
     header: EpisodeHeader
 
     def cells(self, view: MapView, step: Step) -> Picture:
-        """uint8[H, W, 3]: one pixel a cell, row 0 on top, nothing drawn over it.
+        """uint8[H, W, 3]: one pixel per cell, row 0 on top, nothing drawn over it.
 
-        A prediction is viridis, the others have the colours of `CellClass`; a prediction that
-        is not there is unknown everywhere.
+        A prediction is viridis, the others have the colours of `CellClass`; a missing
+        prediction is unknown everywhere.
         """
         plan = self.header.floor_plan
         if view is MapView.PREDICTED:
@@ -83,15 +83,14 @@ class MapPainter:
         track: Cells | None = None,
         marks: Sequence[Mark] = (),
     ) -> Picture:
-        """The map as large as it fits into `width` x `height` pixels, with what belongs on it.
+        """The map, as large as fits into `width` x `height` pixels, with what is drawn over it.
 
         Every map has the agent and its trail; the observed one also the rays, the fused one
-        frontier, path, target and its rivals; the fused map, the error and the truth have the
-        marks.
+        frontier, path, target and its rivals; the fused, error and truth maps the marks.
 
         Args:
             view: which map.
-            step: whose.
+            step: of which step.
             width: of the box, in pixels; the picture may be narrower.
             height: of the box; the picture may be lower.
             track: int32[n, 2], the cells of the agent up to this step; None draws no trail.
@@ -147,20 +146,20 @@ def enlarge(picture: Picture, scale: float) -> Picture:
     if scale == int(scale):
         whole = int(scale)
         return picture.repeat(whole, axis=0).repeat(whole, axis=1)
-    # Whole pixels a cell first, then an average.
+    # Whole pixels per cell first, then an average.
     factor = max(1, int(scale) + 1)
     fine = picture.repeat(factor, axis=0).repeat(factor, axis=1)
     return np.asarray(cv2.resize(fine, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 class _Canvas:
-    """A map to be drawn on, in cells of the grid."""
+    """A map to draw on, in cells of the grid."""
 
     def __init__(self, picture: Picture, scale: float, rows: int) -> None:
         self.picture: Final = np.ascontiguousarray(picture)
         self._scale = scale
         self._rows = rows
-        # Lines of a small picture would hide its cells, those of a large one be lost.
+        # Fixed lines would hide the cells of a small picture, and be lost on a large one.
         self._unit = min(3.0, max(0.8, max(picture.shape[:2]) / 340))
 
     def _points(self, cells: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
@@ -183,7 +182,7 @@ class _Canvas:
             self._circle((x, y), pixels, colour, cv2.FILLED)
 
     def dot(self, cell: Sequence[int], colour: Colour, radius: float) -> None:
-        """A disc with a white rim of so many units of the screen, so that it is always seen."""
+        """A disc with a white rim, `radius` units of the screen, so that it is always visible."""
         ((x, y),) = self._points(np.array([cell])).tolist()
         self._circle((x, y), (radius + 1.0) * self._unit, (255, 255, 255), cv2.FILLED)
         self._circle((x, y), radius * self._unit, colour, cv2.FILLED)

@@ -1,7 +1,7 @@
-"""The colours of everything that is shown, the same in the viewer, in pictures and in reports.
+"""All colours: the same in the viewer, in pictures and in reports.
 
-They are those of Okabe and Ito (2008), which people with any kind of colour blindness can tell
-apart; a probability is viridis. A colour means the same everywhere.
+They are those of Okabe and Ito (2008), which can be told apart with any kind of colour vision; a
+probability is viridis. A colour means the same everywhere.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class CellClass(IntEnum):
 
     @property
     def label(self) -> str:
-        """What a legend and a hovered cell call it."""
+        """Its name in a legend, and where a cell is hovered."""
         return _LABELS.get(self, self.name.lower().replace("_", " "))
 
 
@@ -63,7 +63,7 @@ PLAN_COLOUR: Final = GREEN
 RIVALS_COLOUR: Final = BLUE
 
 MARK_COLOURS: Final[tuple[Colour, ...]] = (YELLOW, SKY_BLUE, GREEN, ORANGE)
-"""Of marks, by the order in which their names first come."""
+"""Of marks, in the order of their names' first marks."""
 
 EPISODE_COLOURS: Final[tuple[Colour, ...]] = (
     ORANGE, SKY_BLUE, GREEN, PURPLE, YELLOW, VERMILION, BLUE, GREY,
@@ -83,7 +83,7 @@ class Curve(StrEnum):
 
     @property
     def label(self) -> str:
-        """What the legend calls it."""
+        """Its name in the legend."""
         return _CURVE_LABELS[self]
 
 
@@ -107,7 +107,7 @@ CURVE_COLOURS: Final[dict[Curve, Colour]] = {
 
 
 class State(StrEnum):
-    """What the agent is at."""
+    """What the agent is doing, or how the episode ended."""
 
     EXPLORING = "exploring"
     FAIL_SAFE = "fail-safe"
@@ -133,7 +133,7 @@ class Theme:
     paper: Colour
     ink: Colour
     faint: Colour
-    """Of what matters less: units, ticks, captions."""
+    """Of secondary text: units, ticks, captions."""
     line: Colour
     """Of frames and grids."""
 

@@ -1,8 +1,8 @@
-"""What is to be shown of an episode, and what several episodes shown together are called."""
+"""Episodes to be shown: what of each, their names, and where two diverge."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, Self
 
@@ -12,7 +12,6 @@ import numpy.typing as npt
 from mapreplay.errors import UsageError
 from mapreplay.recorders.log.state import by_step
 from mapreplay.recorders.pictures.annotations import Mark
-from mapreplay.recorders.pictures.layers import first_parting
 from mapreplay.recorders.pictures.palette import Curve
 from mapreplay.step import EpisodeHeader, Step
 from mapreplay.text import shortened
@@ -37,13 +36,13 @@ class Replay:
     profiled: bool = False
     """Whether the steps have the time of each stage."""
     scores: dict[Curve, Series] = field(default_factory=dict)
-    """Where only these are shown."""
-    parts_at: int | None = None
-    """The step from which it parts from the first of those that it is shown with."""
+    """The curves, if only these are shown."""
+    diverges_at: int | None = None
+    """The step from which it diverges from the first of those that it is shown with."""
 
     @property
     def has_maps(self) -> bool:
-        """Whether more than the scores is shown."""
+        """Whether the maps are shown too."""
         return not self.scores
 
     @classmethod
@@ -94,13 +93,13 @@ def replays_of(
             continue
         replay = Replay.of(log, marks[number] if marks else ())
         if number != min(maps):
-            replay = replace(replay, parts_at=first_parting(logs[min(maps)], log))
+            replay = replace(replay, diverges_at=first_divergence(logs[min(maps)], log))
         replays.append(replay)
     return replays
 
 
 def names_of(headers: Sequence[EpisodeHeader]) -> list[str]:
-    """What episodes that are shown together are called: a letter, and in what they differ.
+    """Names of episodes that are shown together: a letter, and what they differ in.
 
     ``A nearest observed-observed``, ``B cost-utility fused-fused``; the letter alone where
     they differ in nothing.
@@ -134,3 +133,38 @@ def names_of(headers: Sequence[EpisodeHeader]) -> list[str]:
         )
         for letter, part in zip(LETTERS, parts, strict=False)
     ]
+
+
+def first_divergence(a: Iterable[Step], b: Iterable[Step]) -> int | None:
+    """The step from which two episodes diverge, or None: the last that is the same to the agent.
+
+    They are the same while the agents are on the same cell and have observed the same map, on
+    floor plans of the same size: at the step that is returned the agents move apart, or one of
+    them ends. 0 also where they never were the same.
+    """
+    for one, other in side_by_side(a, b):
+        if (
+            one is None
+            or other is None
+            or one.agent != other.agent
+            or not np.array_equal(one.observed, other.observed)
+        ):
+            return max(0, (one.index if one else other.index if other else 0) - 1)
+    return None
+
+
+def side_by_side(a: Iterable[Step], b: Iterable[Step]) -> Iterator[tuple[Step | None, Step | None]]:
+    """The steps of two episodes by number; None where one has ended.
+
+    A step that is missing in one of them, because its log was recovered, is left out.
+    """
+    of_a, of_b = iter(a), iter(b)
+    one, other = next(of_a, None), next(of_b, None)
+    while one is not None or other is not None:
+        if one is not None and other is not None and one.index < other.index:
+            one = next(of_a, None)
+        elif one is not None and other is not None and other.index < one.index:
+            other = next(of_b, None)
+        else:
+            yield one, other
+            one, other = next(of_a, None), next(of_b, None)

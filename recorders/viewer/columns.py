@@ -1,4 +1,4 @@
-"""Steps as columns of a Rerun recording: what of a step is shown, and where in a picture."""
+"""Steps as columns of a Rerun recording, and cells as places in a picture."""
 
 from __future__ import annotations
 
@@ -10,20 +10,17 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
-from mapreplay.floorplan import explorable
 from mapreplay.recorders.pictures.annotations import Mark, mark_colours
+from mapreplay.recorders.pictures.captions import decision_words, event_words, three_digits
 from mapreplay.recorders.pictures.layers import (
     COMPARED,
     cell_classes,
     curves,
-    decision_words,
     display_probability,
     error_classes,
-    event_words,
     has_truth,
     rays_of,
     state_of,
-    three_digits,
 )
 from mapreplay.recorders.pictures.palette import State
 from mapreplay.recorders.pictures.replay import Replay
@@ -34,7 +31,7 @@ from mapreplay.text import markdown
 
 BLOCK_STEPS: Final = 100
 BLOCK_BYTES: Final = 16 << 20
-"""Of all pictures of a block of steps together."""
+"""Of all pictures of a block of steps."""
 _PICTURES: Final = 4
 _STAGES: Final = ("sense", "predict", "fuse", "score", "plan")
 
@@ -51,7 +48,7 @@ Points = npt.NDArray[np.float32]
 """float32[n, 2]: x to the right and y downwards, in cells from the top left of a picture."""
 
 Pictures = npt.NDArray[np.uint8]
-"""uint8[n, H * W]: n pictures of one byte a cell, row 0 on top."""
+"""uint8[n, H * W]: n pictures of one byte per cell, row 0 on top."""
 
 
 def send_episode(
@@ -87,8 +84,8 @@ def send_scores(recording: rr.RecordingStream, replay: Replay, root: str, name: 
 class EpisodeColumns:
     """Sends the steps of one episode to a recording, block by block, in order.
 
-    What holds for the whole episode is sent when this is made. What stays the same from one
-    step to the next is sent once: the viewer shows the newest that it has.
+    What belongs to the whole episode is sent at once. What does not change from one step to the
+    next is sent only once: the viewer shows the newest value.
     """
 
     def __init__(
@@ -99,7 +96,6 @@ class EpisodeColumns:
         self._root = root
         self._speaker = f"{name[:1]}: " if name else ""
         self._curves = COMPARED if name else curves(header)
-        self._explorable = explorable(header.floor_plan.cells, header.start)
         self._trail_end: Points = np.empty((0, 2), np.float32)
         self._shown: dict[Entity, npt.NDArray[np.uint8]] = {}
         self._state: State | None = None
@@ -108,7 +104,7 @@ class EpisodeColumns:
         rerun_static.send_static(recording, header, root, name, truth)
 
     def send(self, steps: Sequence[Step]) -> None:
-        """Send the next steps; one column each, whatever their number."""
+        """Send the next steps, each quantity as one column."""
         index = _index([step.index for step in steps])
         self._send_maps(steps)
         self._send_agent(index, steps)
@@ -123,7 +119,7 @@ class EpisodeColumns:
         self._last_step = steps[-1].index
 
     def send_marks(self, marks: Sequence[Mark]) -> None:
-        """Send the marks, when all steps are sent: each is taken away after its last step."""
+        """Send the marks, after all steps: each is cleared after its last step."""
         height = self._header.floor_plan.shape[0]
         colours = mark_colours(marks)
         for number, mark in enumerate(marks):
@@ -154,7 +150,7 @@ class EpisodeColumns:
         }
         if has_truth(self._header):
             maps[Entity.ERROR] = [
-                error_classes(step.fused, truth, self._explorable) for step in steps
+                error_classes(step.fused, truth, self._header.explorable) for step in steps
             ]
         for entity, classes in maps.items():
             pictures = as_pictures(classes)
@@ -166,7 +162,7 @@ class EpisodeColumns:
         self._send_prediction(steps)
 
     def _send_prediction(self, steps: Sequence[Step]) -> None:
-        """A step without a prediction takes back the last one."""
+        """A step without a prediction clears the last one."""
         nothing = np.empty(0, np.uint8)
         shown = self._shown.get(Entity.PREDICTED, nothing)
         pictures, at, counts = [], [], []
@@ -186,7 +182,7 @@ class EpisodeColumns:
             self._send(Entity.PREDICTED, _index(at), columns)
 
     def _changed(self, entity: Entity, pictures: Pictures) -> npt.NDArray[np.intp]:
-        """Which of the pictures are not as the one before."""
+        """Which of the pictures differ from the one before."""
         changed = np.empty(len(pictures), np.bool_)
         before = self._shown.get(entity)
         changed[0] = before is None or (pictures[0] != before).any()
@@ -292,8 +288,8 @@ def _index(steps: Sequence[int]) -> rr.TimeColumn:
 def as_pictures(grids: Sequence[npt.NDArray[np.uint8]]) -> Pictures:
     """uint8[n, H * W]: grids uint8[H, W] as images, whose row 0 is on top.
 
-    With `centres`, the one place where y is turned over: row r of a grid of height H is row
-    H - 1 - r of its picture.
+    With `centres`, the one place where y is flipped: row r of a grid of height H is row H - 1 - r
+    of its picture.
     """
     return np.stack([grid[::-1].ravel() for grid in grids])
 
@@ -305,7 +301,7 @@ def centres(cells: npt.NDArray[np.integer], height: int) -> Points:
 
 
 def decision_document(step: Step) -> str:
-    """What the agent decided at a step, in Markdown: a sentence, and the best candidates."""
+    """The decision of a step in Markdown: a sentence, and the best candidates."""
     lines = [f"**Step {step.index}: {state_of(step)}**", "", markdown(decision_words(step))]
     decision = step.decision
     if decision is not None and decision.rivals:

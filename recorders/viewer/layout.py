@@ -1,4 +1,4 @@
-"""How episodes look in Rerun: entity paths, and the arrangement of the views."""
+"""The layout of episodes in Rerun: entity paths, and the arrangement of the views."""
 
 from __future__ import annotations
 
@@ -61,9 +61,9 @@ class Entity(StrEnum):
 
 # What belongs to all episodes of a recording together.
 LEGEND: Final = "/legend"
-PARTING: Final = "/parting"
+DIVERGENCE: Final = "/divergence"
 NOTE: Final = "/note"
-"""In the place of a map that an episode does not have."""
+"""Shown in place of a map that an episode does not have."""
 
 _MAPS: Final[dict[MapView, Entity]] = {
     MapView.OBSERVED: Entity.OBSERVED,
@@ -93,9 +93,9 @@ class Pane:
 
     header: EpisodeHeader
     root: str = ""
-    """That it is sent to."""
+    """The path that it is sent to."""
     name: str = ""
-    """That stands before the titles of its views; empty if it is the only one."""
+    """Its letter begins the titles of its views; empty if it is the only episode."""
     has_maps: bool = True
     profiled: bool = False
 
@@ -111,7 +111,7 @@ def layout(
 
     Args:
         panes: of the episodes; at least one has maps.
-        play_state: whether time stands, plays, or follows the newest step.
+        play_state: whether time is paused, plays, or follows the newest step.
     """
     shown = [pane for pane in panes if pane.has_maps]
     below = _below_one(panes[0]) if len(panes) == 1 else _below_several(panes)
@@ -144,7 +144,7 @@ def application_id(panes: Sequence[Pane]) -> str:
 
 
 def _share(pane: Pane, rows: int) -> float:
-    """The height of a row of maps: as high as they are wide, within what leaves room for others."""
+    """The height share of a row of maps: that of the maps, within bounds that leave room below."""
     height, width = pane.header.floor_plan.shape
     across = len(map_views(pane.header))
     fitting = 13.0 * (height / width) * (4 / across)
@@ -152,7 +152,7 @@ def _share(pane: Pane, rows: int) -> float:
 
 
 def _map_views(pane: Pane, columns: Sequence[MapView]) -> list[rrb.View | rrb.Container]:
-    """The maps of an episode; a note stands for one that only others have."""
+    """The maps of an episode; a note in place of one that only the others have."""
     views: list[rrb.View | rrb.Container] = []
     for view in columns:
         if view not in map_views(pane.header):
@@ -167,8 +167,8 @@ def _map_views(pane: Pane, columns: Sequence[MapView]) -> list[rrb.View | rrb.Co
 
 def _map_view(pane: Pane, view: MapView) -> rrb.Spatial2DView:
     root = pane.root
-    # Of the trail each step holds one move, so that its size grows with the number of steps
-    # and not with its square; the view joins all moves up to the time cursor.
+    # Each step holds one move of the trail, so that its size is linear in the number of steps, not
+    # quadratic; the view joins all moves up to the time cursor.
     whole_trail = rrb.VisibleTimeRanges(
         timeline=TIMELINE,
         start=rr.TimeRangeBoundary.infinite(),
@@ -225,7 +225,7 @@ def _below_several(panes: Sequence[Pane]) -> rrb.Container:
     plots = [
         _curves_view(
             curve.label[0].upper() + curve.label[1:],
-            [*(curve_path(curve, p.root) for p in panes), f"{PARTING}/at/**"],
+            [*(curve_path(curve, p.root) for p in panes), f"{DIVERGENCE}/at/**"],
         )
         for curve in COMPARED
     ]
@@ -273,6 +273,6 @@ def _events_view(panes: Sequence[Pane]) -> rrb.TextLogView:
     return rrb.TextLogView(
         origin="/",
         name="Events",
-        contents=[*(Entity.EVENTS.below(pane.root) for pane in panes), f"{PARTING}/events"],
+        contents=[*(Entity.EVENTS.below(pane.root) for pane in panes), f"{DIVERGENCE}/events"],
         columns=rrb.TextLogColumns(text_log_columns=[columns.Body]),
     )

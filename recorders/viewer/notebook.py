@@ -10,7 +10,7 @@ from mapreplay.errors import MapreplayError
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.pictures.replay import replays_of
 from mapreplay.recorders.viewer.layout import layout
-from mapreplay.recorders.viewer.view import new_recording, panes_of, send
+from mapreplay.recorders.viewer.recording import new_recording, panes_of, send
 
 if TYPE_CHECKING:
     from rerun.notebook import Viewer

@@ -1,4 +1,4 @@
-"""What a Rerun recording says once: styles, the legend, the truth, the episode's description."""
+"""What a recording holds once: styles, the legend, the truth, the episode's description."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ from mapreplay.recorders.pictures.palette import (
 )
 from mapreplay.recorders.pictures.replay import LETTERS, Replay
 from mapreplay.recorders.viewer.layout import (
+    DIVERGENCE,
     LEGEND,
     NOTE,
     PAPER,
-    PARTING,
     TIMELINE,
     Entity,
     curve_path,
@@ -57,7 +57,7 @@ def send_static(
     name: str,
     truth: npt.NDArray[np.uint8],
 ) -> None:
-    """Send what holds for a whole episode; `truth` is uint8[H * W], its picture."""
+    """Send what belongs to a whole episode; `truth` is uint8[H * W], its picture."""
     height, width = header.floor_plan.shape
     picture = rr.components.ImageFormat(
         width=width, height=height, color_model="L", channel_datatype="U8"
@@ -71,7 +71,7 @@ def send_static(
         Entity.PREDICTED: rr.DepthImage.from_fields(
             format=picture, colormap="viridis", depth_range=[0, 255], meter=255.0
         ),
-        # A negative radius is in points of the screen, so that it is seen on any map.
+        # A negative radius is in points of the screen, so that it is visible on any map.
         Entity.RAYS: line(colors=[RAYS_COLOUR], radii=[-0.6]),
         Entity.HITS: points(colors=[HITS_COLOUR], radii=[0.3]),
         Entity.TRAIL: line(colors=[AGENT_COLOUR], radii=[-1.2]),
@@ -107,13 +107,13 @@ def _curve_style(curve: Curve) -> rr.SeriesLines:
 
 
 def compared_curve(root: str, name: str) -> rr.SeriesLines:
-    """How the curve of an episode looks beside those of others."""
+    """The style of the curve of an episode among those of others."""
     colour = EPISODE_COLOURS[LETTERS.index(root[-1]) % len(EPISODE_COLOURS)]
     return rr.SeriesLines(colors=[colour], names=[name], widths=[2.0])
 
 
 def mark_style(mark: Mark, colour: Colour) -> rr.Boxes2D:
-    """How a mark looks; a hovered cell of it tells what it is."""
+    """The style of a mark; hovering over a cell shows its text."""
     return rr.Boxes2D.from_fields(
         colors=[colour], radii=[-1.2], labels=[f"{mark.name}: {mark.text}"], show_labels=False
     )
@@ -128,24 +128,24 @@ def send_legend(recording: rr.RecordingStream, replays: Sequence[Replay]) -> Non
     sheet = Sheet(_LEGEND_WIDTH + 20, 22.0 * lines, _LEGEND_SCALE, PAPER)
     draw_legend(sheet, 10, 11, _LEGEND_WIDTH, legend, theme)
     recording.log(LEGEND, rr.Image(sheet.picture), static=True)
-    recording.log(NOTE, rr.TextDocument("This episode has none."), static=True)
+    recording.log(NOTE, rr.TextDocument("Not in this episode."), static=True)
 
 
-def send_parting(recording: rr.RecordingStream, name: str, step: int) -> None:
-    """Send where an episode parts from the first one: a line through the curves, and an event.
+def send_divergence(recording: rr.RecordingStream, name: str, step: int) -> None:
+    """Send where an episode diverges from the first one: a line through the curves, and an event.
 
     Args:
         recording: where to.
-        name: of the episode that parts.
+        name: of the episode that diverges.
         step: the last step at which they are the same.
     """
     index = rr.TimeColumn(TIMELINE, sequence=[step])
-    text = f"{name[:1]} parts from the first after step {step}"
-    recording.send_columns(f"{PARTING}/events", [index], rr.TextLog.columns(text=[text]))
-    path = f"{PARTING}/at/{name[:1]}"
+    text = f"{name[:1]} diverges from the first after step {step}"
+    recording.send_columns(f"{DIVERGENCE}/events", [index], rr.TextLog.columns(text=[text]))
+    path = f"{DIVERGENCE}/at/{name[:1]}"
     line = rr.SeriesLines(
         colors=[(150, 150, 150)],
-        names=[f"{name[:1]} parts here"],
+        names=[f"{name[:1]} diverges here"],
         widths=[1.5],
         aggregation_policy=rr.components.AggregationPolicy.Off,
     )

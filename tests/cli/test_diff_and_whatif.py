@@ -12,7 +12,7 @@ from commands import Run
 from mapreplay import EpisodeWriter, ExternalEpisode, unknown_floor_plan
 from mapreplay.floorplan import FloorPlan
 from mapreplay.recorders.log.reader import EpisodeLog
-from mapreplay.recorders.pictures.layers import first_parting
+from mapreplay.recorders.pictures.replay import first_divergence
 
 SAMPLES = Path(__file__).parents[2] / "samples" / "episodes"
 OBSERVED = SAMPLES / "procedural-60002__nearest__observed-observed__s1.mcap"
@@ -28,8 +28,8 @@ def test_two_episodes_part_somewhere_and_it_led_to_something(cli: Run) -> None:
     lines = [line for line in result.out.splitlines() if not line.endswith(".mcap")]
     command = next(line for line in lines if line.startswith("mapreplay view"))
     assert command.split()[2:4] == [str(OBSERVED), str(FUSED)]
-    parting = first_parting(EpisodeLog(OBSERVED), EpisodeLog(FUSED))
-    assert command.split()[4:] == ["--step", str(parting)]  # the step that the view marks
+    diverge = first_divergence(EpisodeLog(OBSERVED), EpisodeLog(FUSED))
+    assert command.split()[4:] == ["--step", str(diverge)]  # the step that the view marks
     lines.remove(command)
     assert max(map(len, lines)) <= 80
     rows = json.loads(cli("diff", OBSERVED, FUSED, "--format", "json").out)

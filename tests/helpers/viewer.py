@@ -14,7 +14,7 @@ import numpy.typing as npt
 import pytest
 
 from mapreplay.recorders.pictures.palette import CELL_COLOURS, CellClass, viridis
-from mapreplay.recorders.viewer import view as rerun_view
+from mapreplay.recorders.viewer import servers
 
 Screenshot = Callable[[int, str], npt.NDArray[np.uint8]]
 """(step, name of a view) -> uint8[h, w, 3], RGB."""
@@ -28,12 +28,12 @@ def viewer_on(rrd: Path, size: str = "1600x900") -> Iterator[Screenshot]:
     """Open a file in the viewer; skips the test where there is no Vulkan."""
     from rerun.experimental import ViewerClient
 
-    port = rerun_view._free_port(None)
+    port = servers._free_port(None)
     options = ("--headless", f"--window-size={size}", "--hide-welcome-screen")
-    with rerun_view._viewer(f"--port={port}", *options) as process:
+    with servers._viewer(f"--port={port}", *options) as process:
         try:
-            rerun_view._await(
-                lambda: process.poll() is not None or rerun_view._answers(port), "the viewer"
+            servers._await(
+                lambda: process.poll() is not None or servers._answers(port), "the viewer"
             )
             time.sleep(1)  # without a graphics adapter it ends a moment after it listens
             if process.poll() is not None:

@@ -65,7 +65,10 @@ def test_two_episodes_look_as_they_did(houses: list[Filmed]) -> None:
     check(Film(houses, SIZE, LIGHT).frame(60), "houses-60-light")
 
 
-def test_a_golden_picture_notices_another_step(rooms: Filmed) -> None:
+def test_a_golden_picture_notices_another_step(
+    rooms: Filmed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("MAPREPLAY_RENEW", raising=False)
     with pytest.raises(AssertionError, match="pixels are not as in"):
         check(Film([rooms], SIZE, LIGHT).frame(1), "rooms-0-light")
 
@@ -111,7 +114,9 @@ def test_an_episode_without_truth_prediction_and_targets_is_drawn(tmp_path: Path
 
 
 def test_sizes_and_numbers_of_episodes_are_checked(rooms: Filmed) -> None:
-    with pytest.raises(UsageError, match="100x100: a picture has 640x360 to 7680x4320 pixels"):
+    with pytest.raises(
+        UsageError, match="100x100: a picture must have 640x360 to 7680x4320 pixels"
+    ):
         Film([rooms], (100, 100))
     with pytest.raises(UsageError, match="3 episodes; a picture shows one or two"):
         Film([rooms] * 3)

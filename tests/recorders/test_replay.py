@@ -39,13 +39,13 @@ def test_of_several_logs_some_have_maps_and_all_have_scores() -> None:
     logs = [EpisodeLog(path) for path in sorted(SAMPLES.glob("*.mcap"))]
     replays = replays_of(logs)
     assert [replay.has_maps for replay in replays] == [True, True, False]
-    assert [replay.parts_at for replay in replays] == [None, 2, None]
+    assert [replay.diverges_at for replay in replays] == [None, 2, None]
     (f1, *_) = replays[2].scores.values()
     assert len(f1) == len(logs[2])
     chosen = replays_of(logs, chosen=[1, 2])
     assert [replay.has_maps for replay in chosen] == [False, True, True]
-    assert chosen[1].parts_at is None, "it is the first of those with maps"
-    assert chosen[2].parts_at == 0, "another floor plan"
+    assert chosen[1].diverges_at is None, "it is the first of those with maps"
+    assert chosen[2].diverges_at == 0, "another floor plan"
 
 
 def test_text_of_a_log_is_text_in_the_viewers_documents() -> None:

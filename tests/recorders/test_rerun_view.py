@@ -26,7 +26,8 @@ from mapreplay.episode import Episode, prepare_episode, run_episode
 from mapreplay.errors import ExistsError, LogError, UsageError, WriteError
 from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from mapreplay.recorders.pictures.annotations import Mark
-from mapreplay.recorders.pictures.layers import cell_classes, decision_words, error_classes, rays_of
+from mapreplay.recorders.pictures.captions import decision_words
+from mapreplay.recorders.pictures.layers import cell_classes, error_classes, rays_of
 from mapreplay.recorders.pictures.palette import (
     AGENT_COLOUR,
     FRONTIER_COLOUR,
@@ -35,9 +36,10 @@ from mapreplay.recorders.pictures.palette import (
 )
 from mapreplay.recorders.pictures.replay import Replay
 from mapreplay.recorders.viewer import columns as rerun_columns
-from mapreplay.recorders.viewer import view as rerun_view
+from mapreplay.recorders.viewer import servers
 from mapreplay.recorders.viewer.columns import send_episode
-from mapreplay.recorders.viewer.view import LiveView, WebServer, save_rrd, serve_web
+from mapreplay.recorders.viewer.recording import save_rrd
+from mapreplay.recorders.viewer.servers import LiveView, WebServer, serve_web
 from mapreplay.step import Step
 from viewer import (
     LATTICE,
@@ -383,10 +385,10 @@ def test_a_file_that_cannot_be_written_is_a_clear_error(
 )
 def test_a_window_needs_a_display(platform: str, environment: dict[str, str], ok: bool) -> None:
     if ok:
-        rerun_view.require_display(platform, environment)
+        servers.require_display(platform, environment)
     else:
         with pytest.raises(UsageError, match=r"--web .*--save"):
-            rerun_view.require_display(platform, environment)
+            servers.require_display(platform, environment)
 
 
 def test_without_a_display_nothing_is_started(
@@ -395,9 +397,9 @@ def test_without_a_display_nothing_is_started(
     monkeypatch.setattr("sys.platform", "linux")
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(rerun_view, "_viewer", lambda *_: pytest.fail("a viewer was started"))
+    monkeypatch.setattr(servers, "_viewer", lambda *_: pytest.fail("a viewer was started"))
     with pytest.raises(UsageError, match="no display"):
-        rerun_view.open_viewer([Replay(episode.header, steps)])
+        servers.open_viewer([Replay(episode.header, steps)])
     with pytest.raises(UsageError, match="no display"):
         LiveView(episode.header)
 
@@ -426,9 +428,9 @@ def test_a_viewer_that_is_open_is_used_again(
 ) -> None:
     monkeypatch.setenv("DISPLAY", ":0")
     with WebServer() as server:  # listens as a viewer does
-        monkeypatch.setattr(rerun_view, "_viewer", lambda *_: pytest.fail("a second one"))
+        monkeypatch.setattr(servers, "_viewer", lambda *_: pytest.fail("a second one"))
         port = int(server._grpc_address.split(":")[-1].split("/")[0])
-        rerun_view.open_viewer([Replay(episode.header, steps)], port)
+        servers.open_viewer([Replay(episode.header, steps)], port)
         received = receive(server._grpc_address, tmp_path / "got.rrd")
     assert len(received["/agent/position:Points2D:positions"]) == len(steps)
 
@@ -440,13 +442,13 @@ def test_nothing_is_sent_to_what_is_not_a_viewer(
     with socket.create_server(("127.0.0.1", 0)) as deaf:
         port = deaf.getsockname()[1]
         with pytest.raises(UsageError, match=f"port {port} is used"):
-            rerun_view.open_viewer([Replay(episode.header, steps)], port)
+            servers.open_viewer([Replay(episode.header, steps)], port)
 
 
 def receive(address: str, path: Path) -> Recorded:
     """What a client of the server gets: Rerun's own, which goes on listening until stopped."""
     client = [
-        rerun_view.viewer_program(),
+        servers.viewer_program(),
         "--bind=127.0.0.1",
         "--port=auto",
         address,

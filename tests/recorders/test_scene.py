@@ -13,18 +13,18 @@ from mapreplay.episode import prepare_episode, run_episode
 from mapreplay.external import ExternalEpisode, unknown_floor_plan
 from mapreplay.floorplan import explorable
 from mapreplay.grid import Cell
+from mapreplay.recorders.pictures.captions import decision_words
 from mapreplay.recorders.pictures.layers import (
     MapView,
     curves,
-    decision_words,
     display_probability,
     error_classes,
-    first_parting,
     map_views,
     rays_of,
     state_of,
 )
 from mapreplay.recorders.pictures.palette import CellClass, Curve, State
+from mapreplay.recorders.pictures.replay import first_divergence
 from mapreplay.step import Candidate, Decision, Mode, Outcome, Step
 from recordings import two_rooms
 
@@ -161,15 +161,15 @@ def test_two_episodes_part_after_the_last_step_that_is_the_same_to_the_agent(
     def from_three(**change: Any) -> list[Step]:
         return [*steps[:3], *(replace(step, **change) for step in steps[3:])]
 
-    assert first_parting(steps, list(steps)) is None
-    assert first_parting(steps, from_three(agent=Cell(0, 0))) == 2
-    assert first_parting(steps, from_three(observed=steps[0].observed)) == 2
-    assert first_parting(steps, from_three(observed=np.zeros((2, 2), np.int8))) == 2
-    assert first_parting(steps, [replace(s, agent=Cell(0, 0)) for s in steps]) == 0
-    assert first_parting(steps, from_three(p_wall=None)) is None, "not what the agent sees"
-    assert first_parting(steps, steps[:5]) == 4
-    assert first_parting(steps[:5], steps) == 4
-    assert first_parting([], []) is None
+    assert first_divergence(steps, list(steps)) is None
+    assert first_divergence(steps, from_three(agent=Cell(0, 0))) == 2
+    assert first_divergence(steps, from_three(observed=steps[0].observed)) == 2
+    assert first_divergence(steps, from_three(observed=np.zeros((2, 2), np.int8))) == 2
+    assert first_divergence(steps, [replace(s, agent=Cell(0, 0)) for s in steps]) == 0
+    assert first_divergence(steps, from_three(p_wall=None)) is None, "not what the agent sees"
+    assert first_divergence(steps, steps[:5]) == 4
+    assert first_divergence(steps[:5], steps) == 4
+    assert first_divergence([], []) is None
 
 
 def test_only_what_says_something_is_shown() -> None:

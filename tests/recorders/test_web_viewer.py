@@ -21,8 +21,8 @@ import pytest
 from mapreplay.episode import run_episode
 from mapreplay.recorders.pictures.layers import cell_classes
 from mapreplay.recorders.pictures.replay import Replay
-from mapreplay.recorders.viewer import view as rerun_view
-from mapreplay.recorders.viewer.view import WebServer, serve_web
+from mapreplay.recorders.viewer import servers
+from mapreplay.recorders.viewer.servers import WebServer, serve_web
 from recordings import three_rooms
 from viewer import agreement, controls, seen_classes
 
@@ -79,12 +79,12 @@ def browser(tmp_path: Path) -> Iterator[Browser]:
     driver = shutil.which("chromedriver")
     if driver is None:
         pytest.skip("Chromium's driver is missing: install chromium and chromium-driver")
-    port = rerun_view._free_port(None)
+    port = servers._free_port(None)
     with subprocess.Popen(
         [driver, f"--port={port}"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     ) as process:
         try:
-            rerun_view._await(lambda: rerun_view._answers(port), "chromedriver")
+            servers._await(lambda: servers._answers(port), "chromedriver")
             page = Browser(port, tmp_path / "profile")
             try:
                 yield page

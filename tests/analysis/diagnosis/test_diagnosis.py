@@ -143,7 +143,7 @@ def test_the_paragraph_says_it(diagnosis: Diagnosis) -> None:
         "for good",
         "by 1 false wall at (3, 6)",
         "The opening there is 1 cell wide",
-        "predicted to be a wall since step 0",
+        "was predicted since step 0",
         "it was never observed",
         "4 moves to (4, 5) would have shown 1 false wall, and freed it",
     ):

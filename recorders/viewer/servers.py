@@ -1,4 +1,4 @@
-"""Episodes shown in Rerun: in a file, a window, or a browser; whole or while they happen."""
+"""Rerun's viewers: a window, or a browser on this machine; whole episodes or live ones."""
 
 from __future__ import annotations
 
@@ -12,20 +12,25 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Final, Self, TypeAlias
+from typing import TYPE_CHECKING, Final, Self
 from urllib.parse import quote
 
 import rerun as rr
 import rerun.blueprint as rrb
 
 from mapreplay.errors import MapreplayError, UsageError
-from mapreplay.files import whole_path
-from mapreplay.recorders.pictures.replay import LETTERS, Replay, names_of
-from mapreplay.recorders.viewer.columns import EpisodeColumns, send_episode, send_scores
-from mapreplay.recorders.viewer.layout import TIMELINE, Pane, application_id, layout
-from mapreplay.recorders.viewer.static import send_legend, send_parting
+from mapreplay.recorders.pictures.replay import Replay
+from mapreplay.recorders.viewer.columns import EpisodeColumns
+from mapreplay.recorders.viewer.layout import TIMELINE, layout
+from mapreplay.recorders.viewer.recording import (
+    FLUSH_SECONDS,
+    Sink,
+    new_recording,
+    panes_of,
+    show,
+)
+from mapreplay.recorders.viewer.static import send_legend
 from mapreplay.step import EpisodeHeader, Step
-from mapreplay.text import printable
 from mapreplay.workers import Program
 
 if TYPE_CHECKING:
@@ -33,24 +38,8 @@ if TYPE_CHECKING:
 
 LOOPBACK: Final = "127.0.0.1"
 VIEWER_PORT: Final = 9876
-"""Where Rerun's viewers listen by convention: one that is open is used again."""
+"""Where Rerun's viewers listen by default: one that is open is reused."""
 _START_SECONDS: Final = 20.0
-_FLUSH_SECONDS: Final = 60.0
-
-Sink: TypeAlias = Callable[[rr.RecordingStream, rrb.Blueprint], None]
-"""Connects a new recording, with its layout, to where it is shown."""
-
-
-def save_rrd(path: Path, replays: Sequence[Replay], *, force: bool = False) -> None:
-    """Write episodes with their layout to an .rrd file, whole or not at all.
-
-    All that is written, which is compressed, is in memory at one time.
-
-    Raises:
-        ExistsError, WriteError: see `mapreplay.files.whole_path`.
-    """
-    with whole_path(path, force=force) as draft:
-        draft.write_bytes(_encoded(replays))
 
 
 def open_viewer(
@@ -58,13 +47,13 @@ def open_viewer(
 ) -> None:
     """Show episodes in the native viewer, from `step` on.
 
-    Returns when all steps are sent; the viewer stays.
+    Returns when all steps are sent; the viewer stays open.
 
     Raises:
         UsageError: there is no display, or the port is taken by something else.
         MapreplayError: the viewer does not start.
     """
-    _show(replays, native_viewer(port))
+    show(replays, native_viewer(port))
     if step is not None:
         go_to(port, step)
 
@@ -74,7 +63,7 @@ def go_to(port: int, step: int) -> None:
     from rerun.experimental import ViewerClient
 
     client = ViewerClient.connect(_grpc_address(port))
-    # It is told apart from the steps that were sent, and may hear of it before it has them.
+    # The time travels apart from the steps, and may arrive before them.
     _await(lambda: _reaches(client, step), "the Rerun viewer")
     client.set_time(TIMELINE, sequence=step, play_state="paused")
 
@@ -100,7 +89,7 @@ def serve_web(
     """
     server = WebServer(web_port, grpc_port)
     try:
-        _show(replays, server.connect)
+        show(replays, server.connect)
     except BaseException:
         server.close()
         raise
@@ -108,7 +97,7 @@ def serve_web(
 
 
 class LiveView:
-    """Shows an episode while it happens, laid out as a finished one.
+    """A `StepSink` that shows an episode while it runs, with the layout of a finished one.
 
     `sink` is by default `native_viewer()`; the other is the `connect` of a `WebServer`.
 
@@ -130,9 +119,9 @@ class LiveView:
         self._columns.send([step])
 
     def close(self) -> None:
-        """Send what is left and let go of the viewer, which stays."""
+        """Send what is left and disconnect; the viewer stays open."""
         try:
-            self._recording.flush(timeout_sec=_FLUSH_SECONDS)
+            self._recording.flush(timeout_sec=FLUSH_SECONDS)
         finally:
             self._recording.disconnect()
 
@@ -159,10 +148,10 @@ def native_viewer(port: int = VIEWER_PORT) -> Sink:
     def connect(recording: rr.RecordingStream, blueprint: rrb.Blueprint) -> None:
         if not _answers(port):
             options = ("--hide-welcome-screen", "--expect-data-soon", "--detach-process")
-            with _viewer(f"--port={port}", *options):  # ends at once; the window is its child
+            with _viewer(f"--port={port}", *options):  # exits at once; the window is its child
                 pass
             _await(lambda: _answers(port), "the Rerun viewer")
-        elif not _speaks_grpc(port):  # to send to it would wait without end
+        elif not _speaks_grpc(port):  # sending to it would block for ever
             raise UsageError(
                 f"port {port} is used by something that is not a Rerun viewer; use --web or --save"
             )
@@ -212,7 +201,7 @@ class WebServer:
         web, grpc = _free_port(web_port), _free_port(grpc_port)
         self._grpc_address = _grpc_address(grpc)
         self.address = f"http://{LOOPBACK}:{web}?url={quote(self._grpc_address, safe='')}"
-        # The SDK's own servers listen on every interface, and cannot be told otherwise.
+        # The SDK's own servers listen on every interface, which cannot be changed.
         options = (
             "--serve-web",
             f"--web-viewer-port={web}",
@@ -262,66 +251,8 @@ def _await(ready: Callable[[], bool], what: str) -> None:
         time.sleep(0.05)
 
 
-def panes_of(replays: Sequence[Replay]) -> list[Pane]:
-    """Where each of the episodes is sent to and shown; a single one needs no name."""
-    headers = [replay.header for replay in replays]
-    names = names_of(headers) if len(replays) > 1 else [""]
-    roots = [f"/{letter}" for letter in LETTERS] if len(replays) > 1 else [""]
-    return [
-        Pane(replay.header, root, name, replay.has_maps, replay.profiled)
-        for replay, root, name in zip(replays, roots, names, strict=False)
-    ]
-
-
-def send(recording: rr.RecordingStream, replays: Sequence[Replay], panes: Sequence[Pane]) -> None:
-    """Send whole episodes to where their panes are."""
-    send_legend(recording, [replay for replay in replays if replay.has_maps])
-    for replay, pane in zip(replays, panes, strict=True):
-        if not replay.has_maps:
-            send_scores(recording, replay, pane.root, pane.name)
-            continue
-        if replay.parts_at is not None:
-            send_parting(recording, pane.name, replay.parts_at)
-        send_episode(recording, replay, pane.root, pane.name)
-
-
-def _show(replays: Sequence[Replay], sink: Sink) -> None:
-    panes = panes_of(replays)
-    recording = new_recording(replays, panes)
-    try:
-        sink(recording, layout(panes))
-        send(recording, replays, panes)
-        recording.flush(timeout_sec=_FLUSH_SECONDS)
-    finally:
-        recording.disconnect()
-
-
-def _encoded(replays: Sequence[Replay]) -> bytes:
-    """What an .rrd file contains. To let Rerun write it would wait for ever on a full disk."""
-    panes = panes_of(replays)
-    recording = new_recording(replays, panes)
-    try:
-        stream = rr.binary_stream(recording)
-        recording.send_blueprint(layout(panes))
-        send(recording, replays, panes)
-        # One read: each adds an index of its own to the end, and a file has one.
-        return stream.read(flush_timeout_sec=_FLUSH_SECONDS) or b""
-    finally:
-        recording.disconnect()
-
-
-def new_recording(replays: Sequence[Replay], panes: Sequence[Pane]) -> rr.RecordingStream:
-    """A recording that is named after the episodes, and goes nowhere yet."""
-    recording = rr.RecordingStream(application_id(panes))
-    names = [replay.header.file_name.removesuffix(".mcap") for replay in replays]
-    recording.send_recording_name(
-        printable(names[0]) if len(names) == 1 else f"{len(names)} episodes"
-    )
-    return recording
-
-
 def _viewer(*arguments: str) -> subprocess.Popen[bytes]:
-    """Start the viewer's program, which stays when we end: a window that the user closes."""
+    """Start the viewer's program, which outlives this process: a window that the user closes."""
     return subprocess.Popen(  # noqa: S603
         _command(*arguments),
         stdin=subprocess.DEVNULL,
@@ -341,7 +272,7 @@ def _environment() -> dict[str, str]:
 
 
 def viewer_program() -> Path:
-    """The viewer itself: ending the launcher of the same name would leave it running."""
+    """The viewer itself; terminating the launcher of the same name would leave it running."""
     spec = importlib.util.find_spec("rerun_cli")
     folder = Path(spec.origin).parent if spec and spec.origin else Path()
     for name in ("Rerun.app/Contents/MacOS/Rerun", "rerun", "rerun.exe"):
