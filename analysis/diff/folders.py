@@ -14,7 +14,6 @@ from mapreplay.analysis.episodes.corpus import LoggedEpisode
 from mapreplay.analysis.pool import WorkerError, map_unordered
 from mapreplay.errors import MapreplayError
 from mapreplay.recorders.log.blame import UnforeseenError, blaming
-from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.text import printable
 
 
@@ -62,7 +61,7 @@ def _diff(pair: tuple[LoggedEpisode, LoggedEpisode]) -> PairDiff | MapreplayErro
     a, b = pair
     try:
         with blaming(a.path, b.path):
-            partings = find_partings(EpisodeLog(a.path), EpisodeLog(b.path))
+            partings = find_partings(a.log, b.log)
     except MapreplayError as error:
         return error
     first, move = partings.layer, partings.first.get(Layer.MOVE)

@@ -11,6 +11,7 @@ import pytest
 from commands import Run
 from mapreplay import EpisodeWriter, ForeignEpisode, unknown_floor_plan
 from mapreplay.floorplan import FloorPlan
+from mapreplay.recorders.log import reader
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.pictures.layers import first_parting
 
@@ -37,6 +38,26 @@ def test_two_episodes_part_somewhere_and_it_led_to_something(cli: Run) -> None:
     spent = [row for row in rows["rows"] if row["of"] == "time" and "of all" not in row["what"]]
     assert sum(row["a"] for row in spent) == 520
     assert sum(row["b"] for row in spent) == 104
+
+
+def test_each_file_is_opened_and_checked_once(
+    cli: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checked = []
+    read_index = reader.read_index
+    monkeypatch.setattr(
+        reader, "read_index", lambda file: checked.append(Path(file.name).name) or read_index(file)
+    )
+    assert cli("diff", OBSERVED, FUSED).code == 0
+    assert sorted(checked) == sorted([OBSERVED.name, FUSED.name])
+    checked.clear()
+    folders = [tmp_path / "a", tmp_path / "b"]
+    for folder in folders:
+        folder.mkdir()
+        for log in (OBSERVED, SEALED):
+            shutil.copy(log, folder)
+    assert cli("diff", *folders).code == 0
+    assert sorted(checked) == sorted(2 * [OBSERVED.name, SEALED.name])
 
 
 def test_exit_codes_for_scripts(cli: Run, tmp_path: Path) -> None:
