@@ -18,12 +18,12 @@ from typing import Final
 
 from mapreplay import mapping, plugins
 from mapreplay.analysis.branching import lineage, predictor_of, run_again
-from mapreplay.analysis.diff.steps import Difference, compare
+from mapreplay.analysis.diff.steps import Difference, step_differences
 from mapreplay.episode import budget, versions
 from mapreplay.errors import LogError, PluginError, UsageError
 from mapreplay.grid import FREE, Cell, Grid, Quantized, check_grid
 from mapreplay.planners import Planner, planner_of
-from mapreplay.recorders.log import step_table as table
+from mapreplay.recorders.log import step_table
 from mapreplay.recorders.log.header import EPISODE_RECORD, NO_STEPS, OUTCOME_RECORD
 from mapreplay.recorders.log.reader import EpisodeLog, Stamps
 from mapreplay.recorders.log.state import span_words
@@ -116,7 +116,7 @@ def verify(log: EpisodeLog, shown: int = SHOWN) -> Verification:
         wrong = findings.add(_check_prediction(header, logged))
         asked = None if wrong else planners.get(header)
         expected = _make_again(header, asked, past, hits, observed, logged)
-        findings.add(compare(logged, expected))
+        findings.add(step_differences(logged, expected))
         findings.add(ending.compare(logged))
         move = None
         if logged.decision is not None:
@@ -169,7 +169,7 @@ def _check_alone(
     metres = logged.metrics.path_length if path_length is None else path_length
     fused = mapping.fuse(logged.observed, logged.p_wall, header.thresholds)
     metrics = measure(header, logged.observed, logged.p_wall, logged.fused, metres)
-    yield from compare(logged, replace(logged, fused=fused, metrics=metrics))
+    yield from step_differences(logged, replace(logged, fused=fused, metrics=metrics))
 
 
 def verify_rerun(
@@ -205,7 +205,7 @@ def verify_rerun(
             return findings.result()
         findings.steps += 1
         findings.add(_check_stamps(logged, stamps))
-        findings.add(compare(logged, expected))
+        findings.add(step_differences(logged, expected))
         findings.add(ending.compare(logged))
     findings.add(ending.close())
     return findings.result()
@@ -253,7 +253,7 @@ def verify_step(
     # What these say depends on all steps before.
     known = replace(expected.metrics, path_length=logged.metrics.path_length)
     findings.steps = 1
-    findings.add(compare(logged, replace(expected, metrics=known, events=logged.events)))
+    findings.add(step_differences(logged, replace(expected, metrics=known, events=logged.events)))
     return findings.result()
 
 
@@ -303,7 +303,7 @@ class _Ending:
         self._config = log.header.config
         self._logged = log.summary
         self._expected = NO_STEPS
-        self._rows: Iterator[table.Row] = iter(())
+        self._rows: Iterator[step_table.TableRow] = iter(())
         self._columns: list[str] = []
         self._has_table = False
         frame = log.attached_table()
@@ -318,16 +318,16 @@ class _Ending:
         self._expected = self._expected.after(step, self._config)
         if not self._has_table:
             return
-        expected = table.row_of(step)
+        expected = step_table.row_of(step)
         row = next(self._rows, None)
         if row is None or len(row) != len(expected):
             size = None if row is None else f"{len(row)} columns"
             wanted = f"{len(expected)} columns"
-            yield Difference(step.index, table.ATTACHMENT, "row", None, size, wanted)
+            yield Difference(step.index, step_table.ATTACHMENT, "row", None, size, wanted)
             return
         for name, ours, theirs in zip(self._columns, row, expected, strict=True):
             if ours != theirs:
-                yield Difference(step.index, table.ATTACHMENT, name, None, ours, theirs)
+                yield Difference(step.index, step_table.ATTACHMENT, name, None, ours, theirs)
 
     def close(self) -> Iterator[Difference]:
         """After the last step: compare the summary, and look for rows without a step."""
@@ -339,7 +339,7 @@ class _Ending:
                 yield Difference(None, OUTCOME_RECORD, name, None, value, expected[name])
         further = sum(1 for _ in self._rows)
         if further:
-            yield Difference(None, table.ATTACHMENT, "further rows", None, further, 0)
+            yield Difference(None, step_table.ATTACHMENT, "further rows", None, further, 0)
 
 
 class _Planners:

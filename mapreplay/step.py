@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from enum import StrEnum
 from functools import cached_property
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +29,11 @@ NO_BUDGET: Final = 10_000_000
 
 Cells = npt.NDArray[np.int32]
 """int32[n, 2]: (row, col) of n cells."""
+
+
+def in_short(array: npt.NDArray[Any] | None) -> str:
+    """An array as ``int8[64, 64]``."""
+    return "None" if array is None else f"{array.dtype}{list(array.shape)}"
 
 
 class Mode(StrEnum):
@@ -83,7 +88,7 @@ class Candidate:
         return self.straight + self.diagonal * SQRT2
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Decision:
     """Where the agent goes next, and what it could have done instead."""
 
@@ -95,6 +100,12 @@ class Decision:
     """The best other frontier cells, best first, at most `MAX_RIVALS`."""
     random_draw: int | None
     """The raw 64-bit number that decided, where chance did."""
+
+    def __repr__(self) -> str:
+        return (
+            f"Decision({self.mode}, target={tuple(self.target)}, path={in_short(self.path)}, "
+            f"rivals={len(self.rivals)})"
+        )
 
     @property
     def target(self) -> Cell:
@@ -173,7 +184,7 @@ class StepProfile:
     plan: int
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Step:
     """The state after `index` moves, what was believed then, and what was decided."""
 
@@ -197,6 +208,15 @@ class Step:
     """None before the last step."""
     profile: StepProfile | None
     """Not part of what happened: None in a log that was recorded without it."""
+
+    def __repr__(self) -> str:
+        names = ("hits", "observed", "p_wall", "fused", "frontier")
+        arrays = ", ".join(f"{name}={in_short(getattr(self, name))}" for name in names)
+        return (
+            f"Step({self.index}, agent={tuple(self.agent)}, {arrays}, decision={self.decision!r}, "
+            f"f1={self.metrics.f1:.3f}, events={[str(event.kind) for event in self.events]}, "
+            f"outcome={self.outcome and str(self.outcome)!r})"
+        )
 
     @property
     def stamp_ns(self) -> int:
@@ -222,7 +242,7 @@ class PredictorIdentity:
         object.__setattr__(self, "name", predictor_name(self.name))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class EpisodeHeader:
     """All that a log says once."""
 
@@ -237,6 +257,14 @@ class EpisodeHeader:
     """Who made the steps: ours, or the name of another, whose steps cannot be made again."""
     branch: Branch | None = None
     """Of an episode that was run on from a step of another log."""
+
+    def __repr__(self) -> str:
+        c, plan = self.config, self.floor_plan
+        return (
+            f"EpisodeHeader({plan.id!r} {in_short(plan.cells)}, start={tuple(self.start)}, "
+            f"planner={c.planner!r}, predictor={self.predictor.name!r}, "
+            f"maps='{c.plan_on}-{c.build}', seed={c.seed})"
+        )
 
     @cached_property
     def explorable(self) -> Mask:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, closing
+from gzip import GzipFile
 from pathlib import Path
+from tempfile import SpooledTemporaryFile
 from typing import IO, Any, Final
 
 import cv2
@@ -27,6 +30,10 @@ OCCUPIED_GREY: Final = 30
 MAX_SIDE: Final = 16384
 """Pixels along the longer side above which a picture is refused."""
 
+IN_MEMORY: Final = 64 << 20
+"""Bytes of each kind of map, packed, beyond which they wait on the disk."""
+_BLOCK: Final = 1 << 20
+
 Array = npt.NDArray[Any]
 
 
@@ -38,8 +45,8 @@ def export_arrays(log: EpisodeLog, path: Path, *, force: bool = False) -> None:
     bool[H, W]; agent, target: int32[n, 2] (row, col), the target -1 where there is none;
     hits: int16[n, rays], -1 at steps without a scan (int16[n, 0] without any); and a float64[n]
     for each of
-    `StepMetrics`, NaN where undefined. The log is read once for each kind of map, so that
-    memory stays bounded.
+    `StepMetrics`, NaN where undefined. The log is read once; maps beyond `IN_MEMORY` bytes wait on
+    the disk, packed.
 
     Raises:
         LogError: the log is damaged.
@@ -48,20 +55,38 @@ def export_arrays(log: EpisodeLog, path: Path, *, force: bool = False) -> None:
     with (
         whole_path(path, force=force) as draft,
         zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as archive,
+        ExitStack() as opened,
     ):
-        _add_arrays(archive, log)
+        stacks = [opened.enter_context(closing(_Stack(path.parent))) for _ in range(3)]
+        _add_arrays(archive, log, stacks)
 
 
-def _stacked(hits: list[Hits]) -> Array:
-    """int16[n, rays]: the hits of all steps, -1 where there was no scan."""
-    rays = max((len(of_step) for of_step in hits), default=0)
-    stack = np.full((len(hits), rays), -1, np.int16)
-    for row, of_step in zip(stack, hits, strict=True):
-        row[: len(of_step)] = of_step
-    return stack
+class _Stack:
+    """Arrays that wait, packed, until it is known how many they are."""
+
+    def __init__(self, folder: Path) -> None:
+        self._file = SpooledTemporaryFile[bytes](IN_MEMORY, dir=str(folder))
+        self._packed = GzipFile(fileobj=self._file, mode="wb", compresslevel=1)
+
+    def add(self, array: Array) -> None:
+        """One more."""
+        self._packed.write(array.tobytes())
+
+    def blocks(self) -> Iterator[bytes]:
+        """The bytes of all of them."""
+        self._packed.close()
+        self._file.seek(0)
+        unpacked = GzipFile(fileobj=self._file, mode="rb")
+        while block := unpacked.read(_BLOCK):
+            yield block
+
+    def close(self) -> None:
+        """Free what they take."""
+        self._file.close()
 
 
-def _add_arrays(archive: zipfile.ZipFile, log: EpisodeLog) -> None:
+def _add_arrays(archive: zipfile.ZipFile, log: EpisodeLog, stacks: Sequence[_Stack]) -> None:
+    observed, fused, p_wall = stacks
     agents, targets, hits, metrics, predicted = [], [], [], [], []
     prediction_dtype: np.dtype[Any] | None = None
     for step in log.steps():
@@ -69,6 +94,8 @@ def _add_arrays(archive: zipfile.ZipFile, log: EpisodeLog) -> None:
         targets.append(step.decision.target if step.decision else (-1, -1))
         hits.append(step.hits)
         metrics.append([getattr(step.metrics, name) for name in StepMetrics.names()])
+        observed.add(step.observed)
+        fused.add(step.fused)
         if step.p_wall is not None:
             if prediction_dtype not in (None, step.p_wall.dtype):
                 raise LogError(
@@ -76,6 +103,7 @@ def _add_arrays(archive: zipfile.ZipFile, log: EpisodeLog) -> None:
                 )
             predicted.append(step.index)
             prediction_dtype = step.p_wall.dtype
+            p_wall.add(step.p_wall)
     count, shape = len(agents), log.header.floor_plan.shape
     arrays = {
         "truth": log.header.floor_plan.cells,
@@ -87,32 +115,39 @@ def _add_arrays(archive: zipfile.ZipFile, log: EpisodeLog) -> None:
     columns = np.array(metrics, np.float64).reshape(count, len(StepMetrics.names()))
     arrays |= dict(zip(StepMetrics.names(), columns.T, strict=True))
     for name, array in arrays.items():
-        _add_stack(archive, name, array.dtype, array.shape, [array])
-    maps = np.dtype(np.int8)
-    _add_stack(archive, "observed", maps, (count, *shape), (s.observed for s in log.steps()))
-    _add_stack(archive, "fused", maps, (count, *shape), (s.fused for s in log.steps()))
+        _add(archive, name, array.dtype, array.shape, [array.tobytes()])
+    for name, stack in (("observed", observed), ("fused", fused)):
+        _add(archive, name, np.dtype(np.int8), (count, *shape), stack.blocks())
     if prediction_dtype is not None:
         of_step = np.array(predicted, np.int32)
-        _add_stack(archive, "p_wall_step", of_step.dtype, of_step.shape, [of_step])
-        rows = (s.p_wall for s in log.steps() if s.p_wall is not None)
-        _add_stack(archive, "p_wall", prediction_dtype, (len(predicted), *shape), rows)
+        _add(archive, "p_wall_step", of_step.dtype, of_step.shape, [of_step.tobytes()])
+        _add(archive, "p_wall", prediction_dtype, (len(predicted), *shape), p_wall.blocks())
 
 
-def _add_stack(
+def _stacked(hits: list[Hits]) -> Array:
+    """int16[n, rays]: the hits of all steps, -1 where there was no scan."""
+    rays = max((len(of_step) for of_step in hits), default=0)
+    stack = np.full((len(hits), rays), -1, np.int16)
+    for row, of_step in zip(stack, hits, strict=True):
+        row[: len(of_step)] = of_step
+    return stack
+
+
+def _add(
     archive: zipfile.ZipFile,
     name: str,
     dtype: np.dtype[Any],
     shape: tuple[int, ...],
-    parts: Iterable[Array],
+    blocks: Iterable[bytes],
 ) -> None:
-    """Write one array of `shape` whose memory is that of `parts`, one after the other."""
+    """Write one array of `shape` whose memory is that of `blocks`, one after the other."""
     # A fixed date, so that the same log gives the same file.
     entry = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
     entry.compress_type = zipfile.ZIP_DEFLATED
     with archive.open(entry, "w", force_zip64=True) as file:
         _write_npy_header(file, dtype, shape)
-        for part in parts:
-            file.write(np.ascontiguousarray(part, dtype).tobytes())
+        for block in blocks:
+            file.write(block)
 
 
 def _write_npy_header(file: IO[bytes], dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:

@@ -17,8 +17,9 @@ import numpy.typing as npt
 import polars as pl
 
 from mapreplay.analysis.comparison.groups import Group, Grouping
+from mapreplay.analysis.episodes import curves
 from mapreplay.analysis.episodes.corpus import LoggedEpisode, Place
-from mapreplay.analysis.episodes.curves import area, first_reached
+from mapreplay.analysis.episodes.curves import area
 from mapreplay.analysis.reporting.wording import counted
 from mapreplay.analysis.stats.estimates import (
     NEVER,
@@ -80,15 +81,9 @@ def _time(episode: LoggedEpisode, terms: Terms, budget: int) -> float:
 
 
 def mapping_time(episode: LoggedEpisode, target: float) -> float:
-    """The first step at which the built map's coverage is at `target`; `NEVER` if it is not.
-
-    Without a true map it is the step at which the episode ended mapped, if it did.
-    """
-    if np.isnan(episode.coverage).all():
-        mapped = episode.row.outcome == Outcome.MAPPED.value
-        return float(episode.row.steps) if mapped else NEVER
-    reached = first_reached(episode.coverage, target)
-    return NEVER if reached is None else float(reached)
+    """When the target coverage was reached; `NEVER` if it was not."""
+    time = curves.mapping_time(episode.coverage, target, episode.row.outcome)
+    return NEVER if time is None else float(time)
 
 
 def _path(episode: LoggedEpisode, terms: Terms, budget: int) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 
 from mapreplay import plugins
 from mapreplay.analysis.diff.divergence import Layer, Moment, Partings
-from mapreplay.analysis.diff.steps import as_text, compare
+from mapreplay.analysis.diff.steps import as_text, step_differences
 from mapreplay.analysis.reporting.wording import counted
 from mapreplay.errors import MapreplayError
 from mapreplay.grid import UNKNOWN, Cell
@@ -160,7 +160,7 @@ def _end(a: EpisodeLog, b: EpisodeLog, moment: Moment) -> str:
 
 def _record(_a: EpisodeLog, _b: EpisodeLog, moment: Moment) -> str:
     a, b = _steps(moment)
-    first = next(iter(compare(a, b)), None)
+    first = next(iter(step_differences(a, b)), None)
     if first is None:
         return "the same happened, and is recorded otherwise"
     return (

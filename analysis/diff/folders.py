@@ -14,7 +14,6 @@ from mapreplay.analysis.episodes.corpus import LoggedEpisode
 from mapreplay.analysis.pool import WorkerError, map_unordered
 from mapreplay.errors import MapreplayError
 from mapreplay.recorders.log.blame import UnforeseenError, blaming
-from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.text import printable
 
 
@@ -36,7 +35,7 @@ class PairDiff:
     outcome_b: str
     time_a: int | None
     """Mapping time; under a common budget, which it is where the target was not reached. None
-    where that is undefined: without a true map, or not reached without a budget."""
+    if it was not reached, and there is no budget."""
     time_b: int | None
     difference: int | None
     """time_b - time_a."""
@@ -62,12 +61,12 @@ def _diff(pair: tuple[LoggedEpisode, LoggedEpisode]) -> PairDiff | MapreplayErro
     a, b = pair
     try:
         with blaming(a.path, b.path):
-            partings = find_partings(EpisodeLog(a.path), EpisodeLog(b.path))
+            partings = find_partings(a.log, b.log)
     except MapreplayError as error:
         return error
     first, move = partings.layer, partings.first.get(Layer.MOVE)
     budget = min((e.header.budget for e in pair if e.header.budget is not None), default=None)
-    time_a, time_b = (mapping_time(episode, budget) for episode in pair)
+    time_a, time_b = (_within(e.row.mapping_time, budget) for e in pair)
     return PairDiff(
         floor_plan=a.row.floor_plan,
         seed=a.row.seed,
@@ -87,17 +86,9 @@ def _diff(pair: tuple[LoggedEpisode, LoggedEpisode]) -> PairDiff | MapreplayErro
     )
 
 
-def mapping_time(episode: LoggedEpisode, budget: int | None) -> int | None:
-    """Mapping time under a budget, all of which it takes where the target was not reached.
-
-    None where it is undefined: without a true map, or not reached without a budget.
-    """
-    if not episode.header.floor_plan.has_truth:
-        return None
-    time = episode.row.mapping_time
-    if time is None or budget is None:
-        return budget if time is None else time
-    return min(time, budget)
+def _within(time: int | None, budget: int | None) -> int | None:
+    """A mapping time under a budget, all of which it takes if the target was not reached."""
+    return min((number for number in (time, budget) if number is not None), default=None)
 
 
 _DTYPES: Final = {

@@ -12,7 +12,7 @@ import polars as pl
 
 from mapreplay.analysis.diff.causes import Cause, causes, outcome_name
 from mapreplay.analysis.diff.divergence import Said, find_partings
-from mapreplay.analysis.episodes.corpus import LoggedEpisode, read_episode
+from mapreplay.analysis.episodes.corpus import LoggedEpisode, episode_of
 from mapreplay.analysis.episodes.curves import Curve, first_reached
 from mapreplay.errors import UsageError
 from mapreplay.recorders.log.reader import EpisodeLog
@@ -77,7 +77,7 @@ def diff_logs(a: EpisodeLog, b: EpisodeLog) -> EpisodeDiff:
             "choose two episodes on one floor plan"
         )
     partings = find_partings(a, b)
-    one, other = read_episode(a.path), read_episode(b.path)
+    one, other = episode_of(a), episode_of(b)
     last = partings.steps - 1
     return EpisodeDiff(
         identical=partings.identical,

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from mapreplay.grid import Cell
 from mapreplay.recorders.log.topics import Topic
-from mapreplay.step import Candidate, Cells, Step, differences
+from mapreplay.step import Candidate, Cells, Step, differences, in_short
 
 Value: TypeAlias = Cell | float | int | str | None
 
@@ -53,7 +53,7 @@ def as_text(value: Value) -> str:
     return repr(value) if isinstance(value, float) else str(value)
 
 
-def compare(logged: Step, expected: Step) -> Iterator[Difference]:
+def step_differences(logged: Step, expected: Step) -> Iterator[Difference]:
     """All differences of two steps of one index but for the profile, causes first.
 
     Of an array the first element that differs is named, and how many more do.
@@ -95,10 +95,8 @@ def _map(topic: Topic, field: str) -> _Comparison:
 def _other_array(
     logged: Step, topic: Topic, a: npt.NDArray[Any] | None, b: npt.NDArray[Any] | None
 ) -> Difference:
-    def kind(array: npt.NDArray[Any] | None) -> str | None:
-        return None if array is None else f"{array.dtype}{list(array.shape)}"
-
-    return Difference(logged.index, topic, "array", None, kind(a), kind(b))
+    ours, theirs = (None if array is None else in_short(array) for array in (a, b))
+    return Difference(logged.index, topic, "array", None, ours, theirs)
 
 
 def _frontier(logged: Step, expected: Step) -> Iterator[Difference]:

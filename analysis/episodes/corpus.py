@@ -60,6 +60,8 @@ class LoggedEpisode:
     """bool[steps + 1]: planned in fail-safe mode."""
     state: LogState
     """Whether the log is whole. Of one that misses steps, the curves are NaN there."""
+    log: EpisodeLog
+    """What it was read from."""
 
     @property
     def place(self) -> Place:
@@ -79,7 +81,15 @@ def read_episode(path: Path) -> LoggedEpisode:
     Raises:
         LogError: it cannot be read.
     """
-    log = EpisodeLog(path)
+    return episode_of(EpisodeLog(path))
+
+
+def episode_of(log: EpisodeLog) -> LoggedEpisode:
+    """What an open log says of its episode in scalars, finished or not.
+
+    Raises:
+        LogError: it cannot be read.
+    """
     built = "observed" if log.header.config.build is MapKind.OBSERVED else "fused"
     table = log.table()
 
@@ -100,6 +110,7 @@ def read_episode(path: Path) -> LoggedEpisode:
         )
         == 1,
         state=log.state,
+        log=log,
     )
 
 
@@ -119,7 +130,9 @@ def read_corpus(paths: Sequence[Path], jobs: int = 1) -> Iterator[LoggedEpisode 
 def _read(path: Path) -> LoggedEpisode | Unreadable:
     try:
         with blaming(path):
-            return read_episode(path)
+            episode = read_episode(path)
+            episode.log.forget()  # there may be thousands of them
+            return episode
     except MapreplayError as error:
         return Unreadable(path, error)
 

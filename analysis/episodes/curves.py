@@ -8,6 +8,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from mapreplay.step import Outcome
+
 Curve = npt.NDArray[np.float64]
 """float64[n]: a coverage at step 0, 1, ..., n - 1; NaN where it is undefined."""
 
@@ -18,6 +20,18 @@ def first_reached(curve: Curve, level: float) -> int | None:
     """The first step at which the curve is at `level` or above; None if it never is."""
     reached = np.flatnonzero(curve >= level)
     return int(reached[0]) if reached.size else None
+
+
+def mapping_time(coverage: Curve, target: float, outcome: str) -> int | None:
+    """When an episode had mapped its floor plan: what every verb says, in steps; None if never.
+
+    It is the first step at which the coverage of the built map is at `target`. Without a true map,
+    of which the coverage would be a share (all of it is NaN), it is the step at which the episode
+    ended as mapped, by its own account. The record in the log is of the coverage alone.
+    """
+    if coverage.size and np.isnan(coverage).all():
+        return coverage.size - 1 if outcome == Outcome.MAPPED else None
+    return first_reached(coverage, target)
 
 
 def extended(curve: Curve, budget: int) -> Curve:

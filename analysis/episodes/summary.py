@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import polars as pl
 
-from mapreplay.analysis.episodes.curves import first_reached
+from mapreplay.analysis.episodes.curves import first_reached, mapping_time
 from mapreplay.config import MapKind
 from mapreplay.errors import UsageError
 from mapreplay.recorders.log.reader import EpisodeLog
@@ -44,7 +44,7 @@ class EpisodeRow:
     steps: int
     """Moves made."""
     mapping_time: int | None
-    """First step at which the built map reached the target coverage."""
+    """See `mapreplay.analysis.episodes.curves.mapping_time`."""
     correct_time: int | None
     """First step at which its correct coverage reached `correct_coverage`."""
     path_length: float
@@ -77,10 +77,8 @@ def summarize(log: EpisodeLog, file: str) -> EpisodeRow:
     # Series and their NumPy arrays: a data-frame query takes longer than all the rest.
     steps = table["step"].to_numpy()
     known = by_step(steps, table[f"coverage_{suffix}"].to_numpy())
-    mapped = first_reached(known, config.coverage)
     right = by_step(steps, table[f"correct_coverage_{suffix}"].to_numpy())
-    correct = first_reached(right, config.correct_coverage)
-    outcome, branch = log.outcome, log.header.branch
+    outcome, branch = str(log.outcome or UNFINISHED), log.header.branch
     return EpisodeRow(
         file=file,
         floor_plan=log.header.floor_plan.id,
@@ -93,10 +91,10 @@ def summarize(log: EpisodeLog, file: str) -> EpisodeRow:
         start_row=log.header.start.row,
         start_col=log.header.start.col,
         max_steps=log.header.max_steps,
-        outcome=outcome.value if outcome else UNFINISHED,
+        outcome=outcome,
         steps=last["step"] or 0,
-        mapping_time=mapped,
-        correct_time=correct,
+        mapping_time=mapping_time(known, config.coverage, outcome),
+        correct_time=first_reached(right, config.correct_coverage),
         path_length=_real(last["path_length"]),
         coverage=_real(last[f"coverage_{suffix}"]),
         correct=_real(last[f"correct_coverage_{suffix}"]),

@@ -82,9 +82,8 @@ def _two(
     a: LoggedEpisode, b: LoggedEpisode
 ) -> tuple[pl.DataFrame, list[str | Command | pl.DataFrame], bool]:
     from mapreplay.analysis.diff.pair import diff_frame, diff_logs
-    from mapreplay.recorders.log.reader import EpisodeLog
 
-    result = diff_logs(EpisodeLog(a.path), EpisodeLog(b.path))
+    result = diff_logs(a.log, b.log)
     return diff_frame(result), list(_story(a, b, result)), not result.identical
 
 

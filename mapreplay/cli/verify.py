@@ -102,19 +102,19 @@ def _check(
     device: str, rerun_from: int | None, weights: list[Path], *, rerun: bool
 ) -> Callable[[EpisodeLog], Verification]:
     """What is to be done with each log."""
-    from mapreplay.analysis import verification as verify
+    from mapreplay.analysis import verification
 
     def one_step(log: EpisodeLog) -> Verification:
         index = rerun_from or 0
         if not -log.last - 1 <= index <= log.last:
             raise UsageError(f"--rerun-from {index}: {log.path} has steps 0 to {log.last}")
-        return verify.verify_step(log, index, device, weights=weights)
+        return verification.verify_step(log, index, device, weights=weights)
 
     if rerun_from is not None:
         return one_step
     if rerun:
-        return lambda log: verify.verify_rerun(log, device, weights=weights)
-    return verify.verify
+        return lambda log: verification.verify_rerun(log, device, weights=weights)
+    return verification.verify
 
 
 def _tell(results: dict[str, Verification]) -> None:

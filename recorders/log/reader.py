@@ -6,22 +6,23 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from enum import StrEnum
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Final, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple, TypeAlias, TypeVar, overload
 
 from mcap.opcode import Opcode
 
 from mapreplay.errors import LogError, MapreplayError
 from mapreplay.grid import Grid, Quantized
 from mapreplay.identify import identify_file
-from mapreplay.recorders.log import step_table as table
+from mapreplay.recorders.log import step_table
 from mapreplay.recorders.log.codec import (
     Messages,
+    decode_events,
     decode_map,
     decode_prediction,
     decode_step,
@@ -55,7 +56,7 @@ from mapreplay.recorders.log.parquet import UnknownParquetError
 from mapreplay.recorders.log.state import Condition, LogState, gaps_in, span_words
 from mapreplay.recorders.log.survey import StepMessages, Survey, steps_in, survey
 from mapreplay.recorders.log.topics import Topic, missing, stamp_ns_of
-from mapreplay.step import OURS, EpisodeHeader, Outcome, Step
+from mapreplay.step import OURS, EpisodeHeader, Event, Outcome, Step
 
 if TYPE_CHECKING:
     import polars as pl
@@ -83,6 +84,16 @@ STEP_TOPICS: Final = frozenset(Topic) - {Topic.TRUTH, Topic.TF, Topic.PREDICTED}
 """What a Step is read from: the others repeat it for viewers."""
 
 
+class _Near(NamedTuple):
+    """The messages of the steps in some blocks of a file, undecoded."""
+
+    blocks: tuple[Block, ...]
+    steps: Mapping[int, Messages]
+
+
+_NOTHING_NEAR: Final = _Near((), {})
+
+
 class EpisodeLog:
     """A log of one episode; opening it checks its checksums and reads what it says once.
 
@@ -93,7 +104,7 @@ class EpisodeLog:
 
     Steps keep the numbers that they had: ``log[40]`` is step 40, also of a recovered log that has
     no steps 20 to 39. ``len(log)`` is how many there are; `indices` are their numbers, and `last`
-    is that of the last one. Iteration gives those that there are, in order.
+    is that of the last one. Iteration and slices give those that there are, in order.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -137,6 +148,20 @@ class EpisodeLog:
             tail = tail_of(file, index)
             self.state: Final = LogState(self._condition(), len(self._numbers), gaps, tail)
             """Whether it is whole, and if not, why."""
+        self._near = _NOTHING_NEAR
+
+    def __repr__(self) -> str:
+        said = self.outcome or self.state
+        return f"EpisodeLog({str(self.path)!r}: {len(self)} steps, {said}, {self.header!r})"
+
+    def __getstate__(self) -> dict[str, object]:
+        self.forget()
+        return self.__dict__
+
+    def forget(self) -> None:
+        """Drop what is kept so that it need not be read twice: the table, and the last chunk."""
+        self._near = _NOTHING_NEAR
+        self.__dict__.pop("_table", None)
 
     @property
     def finished(self) -> bool:
@@ -181,8 +206,8 @@ class EpisodeLog:
             return ()
         by = "mapreplay" if self._index.library == OURS else self._index.library or "another tool"
         said = [f"packed by {by!r} and not as mapreplay does it: its checksums are not ours"]
-        if table.ATTACHMENT not in self._index.attachments:
-            said.append(f"without {table.ATTACHMENT}: the scalars were read from its steps")
+        if step_table.ATTACHMENT not in self._index.attachments:
+            said.append(f"without {step_table.ATTACHMENT}: the scalars were read from its steps")
         if OUTCOME_RECORD not in self._index.metadata:
             said.append(f"without {OUTCOME_RECORD}: the outcome was read from its steps")
         return tuple(said)
@@ -221,6 +246,18 @@ class EpisodeLog:
 
         return self._decoded(tuple(Topic), decode)
 
+    def events(self) -> Iterator[tuple[int, Event]]:
+        """The step and the event of everything that happened, in order; no map is decoded.
+
+        Raises:
+            LogError: the file is damaged or can no longer be read.
+        """
+
+        def decode(messages: Messages, index: int) -> list[tuple[int, Event]]:
+            return [(index, event) for event in decode_events(messages)]
+
+        return chain.from_iterable(self._decoded((Topic.EVENTS,), decode))
+
     def maps(self, *names: str) -> Iterator[tuple[Grid | Quantized | None, ...]]:
         """The named maps of all steps in order: arrays [H, W] that own their memory.
 
@@ -247,23 +284,43 @@ class EpisodeLog:
 
         return self._decoded(topics, decode)
 
-    def __getitem__(self, index: int) -> Step:
+    @overload
+    def __getitem__(self, index: int) -> Step: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> list[Step]: ...
+
+    def __getitem__(self, index: int | slice) -> Step | list[Step]:
         """Step `index`; negative ones count from the end. Nothing before it is read.
+
+        The last chunk that was read is kept, so that steps in order take as long as iteration.
+        A slice is of step numbers, and gives a list of those of them that there are.
 
         Raises:
             IndexError: there is no such step.
             LogError: the step is missing, or the file is damaged or can no longer be read.
         """
+        if isinstance(index, slice):
+            numbers = range(self.last + 1)[index]
+            there = numbers if isinstance(self._numbers, range) else self._number_set
+            steps = [self._step(k) for k in sorted(numbers) if k in there]
+            return steps if numbers.step > 0 else steps[::-1]
         k = index + self.last + 1 if index < 0 else index
         if not 0 <= k <= self.last:
             raise IndexError(f"step {index} of {self.last + 1}")
         self.check_step(k)
-        with self._reading() as file:
-            blocks = [block for block in self._blocks if block.first <= k <= block.last]
-            for step, messages in self._steps_in(file, blocks, STEP_TOPICS):
-                if step == k:
-                    return decode_step(messages, k, self.header)
-            raise ValueError(f"step {k} is missing")
+        return self._step(k)
+
+    def _step(self, k: int) -> Step:
+        blocks = tuple(block for block in self._blocks if block.first <= k <= block.last)
+        with self._blaming():
+            if not set(blocks) <= set(self._near.blocks):
+                with whereabouts(self.path).open("rb") as file:
+                    steps = dict(self._steps_in(file, blocks, STEP_TOPICS))
+                self._near = _Near(blocks, steps)
+            if k not in self._near.steps:
+                raise ValueError(f"step {k} is missing")
+            return decode_step(self._near.steps[k], k, self.header)
 
     def check_step(self, index: int) -> None:
         """Refuse a step that is missing in the middle of a log.
@@ -294,13 +351,13 @@ class EpisodeLog:
         Raises:
             LogError: the file or the table is damaged.
         """
-        offset = self._index.attachments.get(table.ATTACHMENT)
+        offset = self._index.attachments.get(step_table.ATTACHMENT)
         if offset is None or not self._has_table:
             return None
         with self._reading() as file:
             body = read_record(file, offset, Opcode.ATTACHMENT)
             try:
-                return table.from_parquet(read_attachment(body).data, self.indices)
+                return step_table.from_parquet(read_attachment(body).data, self.indices)
             except UnknownParquetError:
                 return None
 
@@ -308,10 +365,10 @@ class EpisodeLog:
     def _table(self) -> pl.DataFrame:
         attached = self.attached_table()
         if attached is None or self.summary is None:
-            return table.table_of([table.row_of(step) for step in self.steps()])
+            return step_table.table_of([step_table.row_of(step) for step in self.steps()])
         last = self[-1]
-        with self._reading():
-            table.check_end(attached, last, self.summary, self.header)
+        with self._blaming():
+            step_table.check_end(attached, last, self.summary, self.header)
         return attached
 
     @property
@@ -409,10 +466,15 @@ class EpisodeLog:
 
     @contextmanager
     def _reading(self) -> Iterator[BinaryIO]:
-        """The open file; whatever is wrong with it becomes a LogError that names it."""
+        """The open file."""
+        with self._blaming(), whereabouts(self.path).open("rb") as file:
+            yield file
+
+    @contextmanager
+    def _blaming(self) -> Iterator[None]:
+        """Whatever is wrong with the file becomes a LogError that names it."""
         try:
-            with whereabouts(self.path).open("rb") as file:
-                yield file
+            yield
         except MapreplayError as error:
             told = str(error)
             raise LogError(

@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 ATTACHMENT: Final = "steps.parquet"
 MEDIA_TYPE: Final = "application/vnd.apache.parquet"
 
-Row: TypeAlias = tuple[int | float | str | None, ...]
+TableRow: TypeAlias = tuple[int | float | str | None, ...]
 
 
-def row_of(step: Step) -> Row:
+def row_of(step: Step) -> TableRow:
     """The scalars of a step, in the order of the table's columns; NaN becomes None."""
     decision = step.decision
     target = decision.target if decision else (None, None)
@@ -57,7 +57,7 @@ def _schema() -> dict[str, type[pl.DataType]]:
     return {name: dtypes[kind] for name, kind in _KINDS.items()}
 
 
-def table_of(rows: Sequence[Row]) -> pl.DataFrame:
+def table_of(rows: Sequence[TableRow]) -> pl.DataFrame:
     """One row a step: step, row, col, mode, target_row, target_col, utility, all metrics.
 
     Cells and the step are Int32, the mode a String, the rest Float64. What is undefined, and

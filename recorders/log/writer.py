@@ -11,7 +11,7 @@ from typing import BinaryIO, Final, Self
 
 from mapreplay.errors import ExistsError, LogError, MapreplayError
 from mapreplay.files import cannot_write, check_new, make_folder
-from mapreplay.recorders.log import step_table as table
+from mapreplay.recorders.log import step_table
 from mapreplay.recorders.log.codec import Encoded, encode_step, encode_truth
 from mapreplay.recorders.log.geometry import check_geometry
 from mapreplay.recorders.log.header import (
@@ -173,8 +173,8 @@ class EpisodeWriter:
         summary = self._tally.summary
         with self._writing():
             self._flush()
-            parquet = table.to_parquet(table.table_of(self._tally.rows))
-            self._mcap.add_attachment(table.ATTACHMENT, table.MEDIA_TYPE, parquet)
+            parquet = step_table.to_parquet(step_table.table_of(self._tally.rows))
+            self._mcap.add_attachment(step_table.ATTACHMENT, step_table.MEDIA_TYPE, parquet)
             self._mcap.add_metadata(OUTCOME_RECORD, outcome_pairs(summary, self._tally.missing))
             self._mcap.finish()
             self._sync()
@@ -228,7 +228,7 @@ class _Tally:
     """What the end of a log says about all of its steps."""
 
     def __init__(self, header: EpisodeHeader) -> None:
-        self.rows: list[table.Row] = []
+        self.rows: list[step_table.TableRow] = []
         self.summary = NO_STEPS
         self.missing: list[range] = []
         """Steps that were lost before those that came."""
@@ -261,7 +261,7 @@ class _Tally:
         if self.ended or step.index != self._next:
             raise ValueError(f"step {step.index} does not follow {self._next} steps")
         self._next += 1
-        self.rows.append(table.row_of(step))
+        self.rows.append(step_table.row_of(step))
         self.summary = self.summary.after(step, self._config)
 
 

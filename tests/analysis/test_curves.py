@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapreplay.analysis.episodes.curves import area, extended, first_reached
+from mapreplay.analysis.episodes.curves import area, extended, first_reached, mapping_time
 
 CURVE = np.array([0.0, 0.5, 0.5, 1.0])
 
@@ -17,6 +17,15 @@ def test_a_milestone_is_reached_at_the_first_step_that_is_there() -> None:
     assert first_reached(CURVE, 0.51) == 3
     assert first_reached(CURVE[:3], 1.0) is None
     assert first_reached(np.array([np.nan, 0.9]), 0.9) == 1
+
+
+def test_the_mapping_time_is_by_the_coverage_and_without_a_truth_by_what_the_episode_says() -> None:
+    unknown = np.full(5, np.nan)
+    assert mapping_time(CURVE, 0.5, "out_of_steps") == 1
+    assert mapping_time(CURVE[:3], 0.9, "mapped") is None
+    assert mapping_time(unknown, 0.9, "mapped") == 4
+    assert mapping_time(unknown, 0.9, "unfinished") is None
+    assert mapping_time(np.empty(0), 0.9, "unfinished") is None
 
 
 def test_the_area_is_the_mean_over_the_budget_with_the_last_value_held() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drawing import plan
-from mapreplay.analysis.diff import divergence as parting
+from mapreplay.analysis.diff import divergence
 from mapreplay.analysis.diff.causes import rating
 from mapreplay.analysis.diff.divergence import Layer, find_partings
 from mapreplay.analysis.diff.pair import diff_frame, diff_logs, rest_of, spans_of
@@ -206,7 +206,7 @@ def test_rankings_are_compared_as_far_as_both_are_logged(
     a: Decision, b: Decision, alike: bool
 ) -> None:
     for one, other in ((a, b), (b, a)):
-        assert parting._rated_alike(one, other) is alike
+        assert divergence._rated_alike(one, other) is alike
 
 
 def test_any_frontier_cell_can_be_rated_again_as_it_was(tmp_path: Path) -> None:

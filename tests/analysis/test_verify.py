@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from drawing import plan
 from fakes import ConstantPredictor, FixedPredictor, NoisyPredictor
-from mapreplay.analysis.diff.steps import Difference, compare
+from mapreplay.analysis.diff.steps import Difference, step_differences
 from mapreplay.analysis.verification import Verification, verify, verify_rerun, verify_step
 from mapreplay.config import EpisodeConfig, MapKind
 from mapreplay.episode import Episode, prepare_episode, run_episode
@@ -26,7 +26,7 @@ from mapreplay.mapping import PredictionDtype
 from mapreplay.planners import RULES, Choice, Planner
 from mapreplay.planning import Situation
 from mapreplay.predictors import NoPredictor, Predictor
-from mapreplay.recorders.log import step_table as table
+from mapreplay.recorders.log import step_table
 from mapreplay.recorders.log.header import outcome_pairs
 from mapreplay.recorders.log.mcap.writer import ContainerWriter
 from mapreplay.recorders.log.reader import EpisodeLog
@@ -492,9 +492,11 @@ def test_the_budget_and_the_start_in_the_metadata(true: Recorded, tmp_path: Path
 def test_the_summary_and_the_attachment(
     true: Recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    row_of = table.row_of
+    row_of = step_table.row_of
     with monkeypatch.context() as lying:
-        lying.setattr(table, "row_of", lambda step: (*row_of(step)[:-1], float(step.index == 4)))
+        lying.setattr(
+            step_table, "row_of", lambda step: (*row_of(step)[:-1], float(step.index == 4))
+        )
         lying.setattr(
             "mapreplay.recorders.log.writer.outcome_pairs",
             lambda summary, _: outcome_pairs(replace(summary, correct_time=17)),
@@ -554,7 +556,7 @@ def test_without_the_planner_all_but_its_choices_is_checked(tmp_path: Path) -> N
 
 
 def test_a_step_is_compared_with_itself(true: Recorded) -> None:
-    assert not any(list(compare(step, step)) for step in true.steps)
+    assert not any(list(step_differences(step, step)) for step in true.steps)
 
 
 # Running again

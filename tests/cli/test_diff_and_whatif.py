@@ -11,6 +11,7 @@ import pytest
 from commands import Run
 from mapreplay import EpisodeWriter, ExternalEpisode, unknown_floor_plan
 from mapreplay.floorplan import FloorPlan
+from mapreplay.recorders.log import reader
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.pictures.replay import first_divergence
 
@@ -37,6 +38,26 @@ def test_two_episodes_part_somewhere_and_it_led_to_something(cli: Run) -> None:
     spent = [row for row in rows["rows"] if row["of"] == "time" and "of all" not in row["what"]]
     assert sum(row["a"] for row in spent) == 520
     assert sum(row["b"] for row in spent) == 104
+
+
+def test_each_file_is_opened_and_checked_once(
+    cli: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checked = []
+    read_index = reader.read_index
+    monkeypatch.setattr(
+        reader, "read_index", lambda file: checked.append(Path(file.name).name) or read_index(file)
+    )
+    assert cli("diff", OBSERVED, FUSED).code == 0
+    assert sorted(checked) == sorted([OBSERVED.name, FUSED.name])
+    checked.clear()
+    folders = [tmp_path / "a", tmp_path / "b"]
+    for folder in folders:
+        folder.mkdir()
+        for log in (OBSERVED, SEALED):
+            shutil.copy(log, folder)
+    assert cli("diff", *folders).code == 0
+    assert sorted(checked) == sorted(2 * [OBSERVED.name, SEALED.name])
 
 
 def test_exit_codes_for_scripts(cli: Run, tmp_path: Path) -> None:
@@ -161,3 +182,34 @@ def test_without_a_truth_or_a_budget_there_is_no_mapping_time(cli: Run, tmp_path
     assert "10000000" not in compared.out + (tmp_path / "c.html").read_text()
     per = cli("metrics", tmp_path / "a" / "2.mcap", "--per", "episode", "--format", "json")
     assert json.loads(per.out)["rows"][0]["area"] is None
+
+
+def test_every_verb_says_the_same_mapping_time_of_logs_without_a_truth(
+    cli: Run, tmp_path: Path
+) -> None:
+    for side, steps in (("a", 3), ("b", 4)):
+        plan = unknown_floor_plan("lab", (4, 6), 0.1)
+        episode = ForeignEpisode(plan, (1, 1), planner=f"theirs-{side}")
+        with EpisodeWriter(tmp_path / side / "1.mcap", episode.header) as writer:
+            for k in range(steps):
+                outcome = "mapped" if k == steps - 1 else None
+                writer.write(episode.step((1, 1), np.zeros((4, 6), np.int8), outcome=outcome))
+    a, b = tmp_path / "a", tmp_path / "b"
+
+    def rows(*arguments: object) -> list[dict[str, object]]:
+        result: list[dict[str, object]] = json.loads(cli(*arguments, "--format", "json").out)[
+            "rows"
+        ]
+        return result
+
+    assert [row["mapping_time"] for row in rows("ls", tmp_path)] == [2, 3]
+    assert [r["value"] for r in rows("info", a) if r["what"] == "mapping time"] == ["2"]
+    assert rows("metrics", a, "--per", "episode")[0]["mapping_time"] == 2
+    means = [row for row in rows("compare", tmp_path) if row["of"] == "mean"]
+    assert [row["value"] for row in means if row["what"] == "mapping time"] == [2, 3]
+    for side in (a, b):  # a second one, so that folders are compared
+        other = ForeignEpisode(plan, (2, 2), planner="theirs", seed=2)
+        with EpisodeWriter(side / "2.mcap", other.header) as writer:
+            writer.write(other.step((2, 2), np.zeros((4, 6), np.int8), outcome="out_of_steps"))
+    times = {row["seed"]: (row["time_a"], row["time_b"]) for row in rows("diff", a, b)}
+    assert times == {1: (2, 3), 2: (None, None)}

@@ -13,7 +13,7 @@ from commands import Run
 from mapreplay.config import EpisodeConfig, predictor_name
 from mapreplay.predictors.architectures import AUTOENCODER, notes_of
 from mapreplay.predictors.weights import encode_tensors, file_sha256
-from mapreplay.recorders.log import header as metadata
+from mapreplay.recorders.log.header import episode_pairs
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.step import PredictorIdentity
@@ -170,7 +170,7 @@ def test_an_old_log_is_verified_with_the_users_file_and_bundled_without_its_path
         packed.extract("episode.mcap", tmp_path)
     again = EpisodeLog(tmp_path / "episode.mcap")
     assert again.finished
-    assert metadata.episode_pairs(again.header) == metadata.episode_pairs(EpisodeLog(log).header)
+    assert episode_pairs(again.header) == episode_pairs(EpisodeLog(log).header)
     assert cli("verify", "--rerun", again.path, "--predictor", weights).code == 0
 
 

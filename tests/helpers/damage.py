@@ -26,8 +26,8 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 
-from mapreplay.recorders.log import header as metadata
-from mapreplay.recorders.log import step_table as table
+from mapreplay.recorders.log import step_table
+from mapreplay.recorders.log.header import _crc
 
 ABSURD: Final = (0, 1, 2**7, 2**8 - 1, 2**15, 2**16 - 1, 2**31 - 1, 2**31, 2**32 - 1)
 REALS: Final = (float("nan"), float("inf"), -float("inf"), 1e300, -1e300, -0.0, 1e-300, 0.5, 7.0)
@@ -104,7 +104,7 @@ def attachment_of(piece: Piece) -> bytes:
 
 def with_attachment(data: bytes) -> Piece:
     """The record of a table."""
-    record = Attachment(0, 0, table.ATTACHMENT, table.MEDIA_TYPE, data)
+    record = Attachment(0, 0, step_table.ATTACHMENT, step_table.MEDIA_TYPE, data)
     return Piece(Opcode.ATTACHMENT, _encoded(record)[9:])
 
 
@@ -182,7 +182,7 @@ def _damaged_metadata(body: bytes, draw: random.Random) -> bytes:
         pairs[key] = text.decode(errors="ignore")
     if "crc32" in pairs and key != "crc32":
         del pairs["crc32"]
-        pairs["crc32"] = metadata._crc(pairs)
+        pairs["crc32"] = _crc(pairs)
     return _encoded(Metadata(found.name, pairs))[9:]
 
 

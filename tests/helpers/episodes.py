@@ -71,6 +71,7 @@ def made_up(
         observed=curve,
         fail_safe=np.zeros(last + 1, np.bool_),
         state=LogState(_CONDITIONS.get(row.outcome, Condition.FINISHED), last + 1),
+        log=None,  # nothing of it is read
     )
 
 

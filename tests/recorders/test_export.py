@@ -40,6 +40,22 @@ def test_arrays_are_stacked_over_steps(blurred: Recorded, tmp_path: Path) -> Non
             assert np.array_equal(arrays[name], expected, equal_nan=True)
 
 
+def test_the_log_is_read_once(
+    blurred: Recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log, passes = EpisodeLog(blurred.path), []
+    steps = log.steps
+    monkeypatch.setattr(log, "steps", lambda: passes.append(1) or steps())
+    monkeypatch.setattr(log, "maps", None)
+    monkeypatch.setattr(export, "IN_MEMORY", 100)
+    export_arrays(log, tmp_path / "through-the-disk.npz")
+    assert len(passes) == 1
+    monkeypatch.undo()
+    export_arrays(log, tmp_path / "in-memory.npz")
+    one, other = (path.read_bytes() for path in tmp_path.iterdir())
+    assert one == other
+
+
 def test_without_a_prediction_there_is_none(unpredicted: Recorded, tmp_path: Path) -> None:
     path = tmp_path / "episode.npz"
     export_arrays(EpisodeLog(unpredicted.path), path)

@@ -32,9 +32,14 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from mapreplay.errors import LogError
-from mapreplay.recorders.log import header as metadata
-from mapreplay.recorders.log import limits
-from mapreplay.recorders.log import step_table as table
+from mapreplay.recorders.log import limits, step_table
+from mapreplay.recorders.log.header import (
+    EPISODE_RECORD,
+    OUTCOME_RECORD,
+    _crc,
+    episode_pairs,
+    outcome_pairs,
+)
 from mapreplay.recorders.log.mcap.reader import read_records
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.topics import Topic
@@ -220,7 +225,7 @@ def test_millions_of_channels_and_records_are_refused(parts: Parts, tmp_path: Pa
 
 def test_the_index_may_name_no_place_of_the_file(parts: Parts, tmp_path: Path) -> None:
     for place in (0, 1 << 40, 2**64 - 1):
-        index = encode(MetadataIndex(place, 10, metadata.EPISODE_RECORD))
+        index = encode(MetadataIndex(place, 10, EPISODE_RECORD))
         refused(tmp_path / "a.mcap", finished(parts.start, index), "damaged")
 
 
@@ -256,7 +261,7 @@ def test_absurd_maps_are_refused(
     head = struct.pack("<4siII4siIfII4x7dI", b"\0\1\0\0", 1, 0, 4, b"map\0", 1, 0, 1.0, width,
                        height, 0, 0, 0, 0, 0, 0, 1, cells)  # fmt: skip
     truth = declare(Topic.TRUTH, Topic.TRUTH.type_name, 1) + message(1, 0, head + bytes(cells))
-    start = encode(Metadata(metadata.EPISODE_RECORD, metadata.episode_pairs(small.header)))
+    start = encode(Metadata(EPISODE_RECORD, episode_pairs(small.header)))
     refused(tmp_path / "a.mcap", MCAP0_MAGIC + start + chunk_of(truth), r"a\.mcap: ")
     step = declare(Topic.OBSERVED, Topic.OBSERVED.type_name, 1) + message(1, 0, head + bytes(cells))
     step += declare(Topic.METRICS, Topic.METRICS.type_name, 2) + message(2, 0, b"")
@@ -340,10 +345,10 @@ def test_a_million_frontier_cells_on_a_small_map_are_refused(parts: Parts, tmp_p
 def test_metadata_that_is_nested_or_huge_is_refused(
     small: Recorded, parts: Parts, tmp_path: Path, lie: dict[str, str]
 ) -> None:
-    pairs = metadata.episode_pairs(small.header) | lie
+    pairs = episode_pairs(small.header) | lie
     del pairs["crc32"]
-    pairs["crc32"] = metadata._crc(pairs)
-    content = MCAP0_MAGIC + encode(Metadata(metadata.EPISODE_RECORD, pairs)) + parts.start
+    pairs["crc32"] = _crc(pairs)
+    content = MCAP0_MAGIC + encode(Metadata(EPISODE_RECORD, pairs)) + parts.start
     refused(tmp_path / "a.mcap", content, r"damaged|configuration|lies outside|at most")
 
 
@@ -355,18 +360,18 @@ def with_table(small: Recorded, content: bytes, steps: int | None = None) -> byt
     data = b"".join(raw(*record) for record in records)
     summary = EpisodeLog(small.path).summary
     assert summary is not None
-    pairs = metadata.outcome_pairs(summary)
+    pairs = outcome_pairs(summary)
     if steps is not None:
         pairs["steps"] = str(steps)
-    attachment = encode(Attachment(0, 0, table.ATTACHMENT, table.MEDIA_TYPE, content))
+    attachment = encode(Attachment(0, 0, step_table.ATTACHMENT, step_table.MEDIA_TYPE, content))
     place = len(MCAP0_MAGIC) + len(data)
     episode = len(MCAP0_MAGIC) + len(raw(*records[0]))
     index = encode(
-        MetadataIndex(episode, 0, metadata.EPISODE_RECORD),
-        MetadataIndex(place + len(attachment), 0, metadata.OUTCOME_RECORD),
-        AttachmentIndex(place, 0, 0, 0, len(content), table.ATTACHMENT, table.MEDIA_TYPE),
+        MetadataIndex(episode, 0, EPISODE_RECORD),
+        MetadataIndex(place + len(attachment), 0, OUTCOME_RECORD),
+        AttachmentIndex(place, 0, 0, 0, len(content), step_table.ATTACHMENT, step_table.MEDIA_TYPE),
     )
-    return finished(data + attachment + encode(Metadata(metadata.OUTCOME_RECORD, pairs)), index)
+    return finished(data + attachment + encode(Metadata(OUTCOME_RECORD, pairs)), index)
 
 
 def parquet(frame: pl.DataFrame) -> bytes:

@@ -1,6 +1,7 @@
 """Reading a log back: everything that was written, in any order, from whole and partial files."""
 
 import itertools
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from mapreplay.errors import LogError
 from mapreplay.floorplan import explorable
 from mapreplay.recorders.log.find import find_logs
 from mapreplay.recorders.log.header import EpisodeSummary
-from mapreplay.recorders.log.mcap import reader as container
+from mapreplay.recorders.log.mcap import reader
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.step_table import row_of, table_of
 from mapreplay.recorders.log.writer import EpisodeWriter
@@ -149,22 +150,79 @@ def test_the_table_of_an_unfinished_log_has_the_same_schema(
     assert pl.concat([part, whole]).height == len(part) + len(whole)
 
 
-def test_steps_are_read_chunk_by_chunk(blurred: Recorded, monkeypatch: pytest.MonkeyPatch) -> None:
-    opened = []
+@pytest.fixture
+def chunks_read(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The size of each chunk that was unpacked."""
+    sizes, read_chunk = list[int](), reader.read_chunk
 
     def counting(body: bytes) -> bytes:
-        opened.append(len(body))
+        sizes.append(len(body))
         return read_chunk(body)
 
-    read_chunk = container.read_chunk
+    monkeypatch.setattr(reader, "read_chunk", counting)
+    return sizes
+
+
+def test_steps_are_read_chunk_by_chunk(blurred: Recorded, chunks_read: list[int]) -> None:
     log = EpisodeLog(blurred.path)
-    monkeypatch.setattr(container, "read_chunk", counting)
+    chunks_read.clear()
     first = list(itertools.islice(log.steps(), 20))
     assert len(first) == 20
-    assert len(opened) == 2  # the truth, and the first 20 steps
-    opened.clear()
+    assert len(chunks_read) == 2  # the truth, and the first 20 steps
+    chunks_read.clear()
     log[45]
-    assert len(opened) == 1
+    assert len(chunks_read) == 1
+
+
+def test_steps_one_by_one_and_slices_read_each_chunk_once(
+    blurred: Recorded, chunks_read: list[int]
+) -> None:
+    log = EpisodeLog(blurred.path)
+    chunks = 1 + -(-len(log) // 20)  # the truth, which is logged at step 0, has one of its own
+    chunks_read.clear()
+    assert [log[k].index for k in range(len(log))] == list(log.indices)
+    assert len(chunks_read) == chunks
+    log.forget()
+    chunks_read.clear()
+    assert [step.index for step in log[::-1]] == list(log.indices)[::-1]
+    assert len(chunks_read) == chunks
+
+
+@pytest.mark.parametrize(
+    "part", [slice(3, 9), slice(-5, None), slice(None, None, 7), slice(30, 2, -9), slice(9, 9)]
+)
+def test_a_slice_is_what_a_list_of_steps_would_give(blurred: Recorded, part: slice) -> None:
+    expected = blurred.steps[part]
+    found = EpisodeLog(blurred.path)[part]
+    assert [differences(a, b) for a, b in zip(found, expected, strict=True)] == [[]] * len(expected)
+
+
+def test_events_are_those_of_the_steps(small: Recorded, chunks_read: list[int]) -> None:
+    log = EpisodeLog(small.path)
+    expected = [(step.index, event) for step in small.steps for event in step.events]
+    assert list(log.events()) == expected != []
+
+
+def test_logs_steps_and_headers_are_shown_in_short(blurred: Recorded) -> None:
+    log = EpisodeLog(blurred.path)
+    rows, cols = log.header.floor_plan.shape
+    assert f"int8[{rows}, {cols}], start=" in repr(log.header)
+    assert repr(log).startswith(f"EpisodeLog('{log.path}': {len(log)} steps, ")
+    assert repr(log.header) in repr(log)
+    said = repr(log[0])
+    assert f"observed=int8[{rows}, {cols}], p_wall=uint8[{rows}, {cols}]" in said
+    assert "decision=Decision(normal, target=(" in said
+    for text in (said, repr(log), repr(log.header)):
+        assert "\n" not in text
+        assert len(text) < 600
+
+
+def test_a_log_can_be_given_to_another_process(blurred: Recorded) -> None:
+    log = EpisodeLog(blurred.path)
+    log[40], log.table()
+    again = pickle.loads(pickle.dumps(log))
+    assert differences(again[40], blurred.steps[40]) == []
+    assert again.table().equals(log.table())
 
 
 def test_nobody_can_change_a_log_by_changing_a_step(blurred: Recorded) -> None:

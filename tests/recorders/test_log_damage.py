@@ -9,7 +9,7 @@ from mcap.opcode import Opcode
 from mcap.writer import Writer
 
 from mapreplay.errors import LogError
-from mapreplay.recorders.log import header as metadata
+from mapreplay.recorders.log.header import _crc, episode_pairs
 from mapreplay.recorders.log.mcap.reader import read_records
 from mapreplay.recorders.log.mcap.writer import ContainerWriter
 from mapreplay.recorders.log.reader import EpisodeLog
@@ -150,7 +150,7 @@ def test_an_mcap_of_something_else_is_refused(tmp_path: Path, end: str) -> None:
 def test_a_newer_log_says_so(
     blurred: Recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(metadata, "FORMAT_VERSION", 2)
+    monkeypatch.setattr("mapreplay.recorders.log.header.FORMAT_VERSION", 2)
     with EpisodeWriter(tmp_path / "a.mcap", blurred.header) as writer:
         writer.add(blurred.steps[0])
     monkeypatch.undo()
@@ -180,10 +180,10 @@ def test_a_log_that_lies_is_refused(
     reason: str,
 ) -> None:
     """All checksums are right, but what the file says makes no sense."""
-    honest = metadata.episode_pairs(blurred.header)
+    honest = episode_pairs(blurred.header)
     del honest["crc32"]
     lies = honest | changes
-    lies["crc32"] = metadata._crc(lies)
+    lies["crc32"] = _crc(lies)
     monkeypatch.setattr("mapreplay.recorders.log.writer.episode_pairs", lambda _: lies)
     with EpisodeWriter(tmp_path / "a.mcap", blurred.header) as writer:
         writer.add(blurred.steps[0])

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapreplay.recorders.log import step_table as table
+from mapreplay.recorders.log import step_table
 from mapreplay.recorders.log.parquet import UnknownParquetError
 from mapreplay.step import Mode
 
@@ -26,7 +26,7 @@ def tables(draw: st.DrawFn) -> pl.DataFrame:
     """Tables of steps with any numbers, with few and with many different ones in a column."""
     count = draw(st.integers(0, 40))
     columns: dict[str, object] = {}
-    for name, dtype in table.table_of([]).schema.items():
+    for name, dtype in step_table.table_of([]).schema.items():
         values: st.SearchStrategy[object]
         if name == "step":
             columns[name] = list(range(count))
@@ -38,14 +38,14 @@ def tables(draw: st.DrawFn) -> pl.DataFrame:
         else:
             values = draw(st.sampled_from([INT32, SMALL] if dtype == pl.Int32 else [REAL, FEW]))
         columns[name] = draw(st.lists(values, min_size=count, max_size=count))
-    return pl.DataFrame(columns, schema=table.table_of([]).schema)
+    return pl.DataFrame(columns, schema=step_table.table_of([]).schema)
 
 
 def some_table(rows: int, seed: int = 1) -> pl.DataFrame:
     """Columns without any value, with few different ones, and with as many as rows."""
     draw = np.random.default_rng(seed)
     columns: dict[str, object] = {}
-    for k, (name, dtype) in enumerate(table.table_of([]).schema.items()):
+    for k, (name, dtype) in enumerate(step_table.table_of([]).schema.items()):
         if name == "step":
             columns[name] = np.arange(rows, dtype=np.int32)
         elif name == "mode":
@@ -58,7 +58,7 @@ def some_table(rows: int, seed: int = 1) -> pl.DataFrame:
             columns[name] = [None] * rows
         else:
             columns[name] = draw.random(rows).round(1) if k % 3 == 1 else draw.random(rows)
-    return pl.DataFrame(columns, schema=table.table_of([]).schema)
+    return pl.DataFrame(columns, schema=step_table.table_of([]).schema)
 
 
 def written(frame: pl.DataFrame, **options: object) -> bytes:
@@ -70,8 +70,8 @@ def written(frame: pl.DataFrame, **options: object) -> bytes:
 @settings(max_examples=30)
 @given(tables())
 def test_a_table_is_read_as_polars_reads_it(frame: pl.DataFrame) -> None:
-    data = table.to_parquet(frame)
-    assert table.from_parquet(data, range(len(frame))).equals(frame)
+    data = step_table.to_parquet(frame)
+    assert step_table.from_parquet(data, range(len(frame))).equals(frame)
     assert pl.read_parquet(io.BytesIO(data)).equals(frame)
 
 
@@ -83,13 +83,13 @@ def test_a_table_is_read_as_polars_reads_it(frame: pl.DataFrame) -> None:
 @pytest.mark.parametrize("rows", [0, 1, 9, 2000])
 def test_groups_and_pages_may_be_of_any_size(rows: int, options: dict[str, object]) -> None:
     frame = some_table(rows)
-    assert table.from_parquet(written(frame, **options), range(rows)).equals(frame)
+    assert step_table.from_parquet(written(frame, **options), range(rows)).equals(frame)
 
 
 @pytest.mark.parametrize("compression", ["uncompressed", "snappy", "lz4", "gzip"])
 def test_what_is_compressed_in_another_way_is_not_called_damaged(compression: str) -> None:
     with pytest.raises(UnknownParquetError):
-        table.from_parquet(written(some_table(20), compression=compression), range(20))
+        step_table.from_parquet(written(some_table(20), compression=compression), range(20))
 
 
 @pytest.mark.parametrize(
@@ -107,7 +107,7 @@ def test_other_columns_are_not_called_damaged(change: Callable[[pl.DataFrame], o
     other = change(some_table(20))
     assert isinstance(other, pl.DataFrame)
     with pytest.raises(UnknownParquetError):
-        table.from_parquet(written(other), range(20))
+        step_table.from_parquet(written(other), range(20))
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ def test_other_columns_are_not_called_damaged(change: Callable[[pl.DataFrame], o
 def test_rows_that_no_step_has_are_refused(column: str, value: pl.Expr, reason: str) -> None:
     frame = some_table(20).with_columns(value.alias(column))
     with pytest.raises(ValueError, match=reason):
-        table.from_parquet(written(frame), range(20))
+        step_table.from_parquet(written(frame), range(20))
 
 
 def flipped(data: bytes, place: int, bit: int) -> bytes:
@@ -133,13 +133,13 @@ def flipped(data: bytes, place: int, bit: int) -> bytes:
 
 def read_flipped(data: bytes, rows: int, place: int, bit: int) -> None:
     with suppress(ValueError):  # a number may be any number
-        frame = table.from_parquet(flipped(data, place, bit), range(rows))
-        assert frame.schema == table.table_of([]).schema
+        frame = step_table.from_parquet(flipped(data, place, bit), range(rows))
+        assert frame.schema == step_table.table_of([]).schema
         assert len(frame) == rows
 
 
 def test_a_flipped_bit_is_an_error_or_another_number() -> None:
-    data = table.to_parquet(some_table(9))
+    data = step_table.to_parquet(some_table(9))
     draw = random.Random(1)
     for _ in range(400):
         read_flipped(data, 9, draw.randrange(len(data)), draw.randrange(8))
@@ -148,18 +148,18 @@ def test_a_flipped_bit_is_an_error_or_another_number() -> None:
 @pytest.mark.slow
 def test_every_flipped_bit_is_an_error_or_another_number() -> None:
     for rows in (2, 300):
-        data = table.to_parquet(some_table(rows))
+        data = step_table.to_parquet(some_table(rows))
         for place in range(len(data)):
             for bit in range(8):
                 read_flipped(data, rows, place, bit)
 
 
 def test_spliced_and_cut_tables_are_errors_or_other_numbers() -> None:
-    data, draw = table.to_parquet(some_table(9)), random.Random(2)
+    data, draw = step_table.to_parquet(some_table(9)), random.Random(2)
     for _ in range(150):
         a, b = sorted(draw.randrange(len(data)) for _ in range(2))
         c = draw.randrange(len(data))
         for changed in (data[:a] + data[b:], data[:b] + data[a:], data[:c] + draw.randbytes(9) +
                         data[c + 9:], data[:c], data[c:]):  # fmt: skip
             with suppress(ValueError):
-                assert len(table.from_parquet(changed, range(9))) == 9
+                assert len(step_table.from_parquet(changed, range(9))) == 9
