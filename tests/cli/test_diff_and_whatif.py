@@ -189,7 +189,7 @@ def test_every_verb_says_the_same_mapping_time_of_logs_without_a_truth(
 ) -> None:
     for side, steps in (("a", 3), ("b", 4)):
         plan = unknown_floor_plan("lab", (4, 6), 0.1)
-        episode = ForeignEpisode(plan, (1, 1), planner=f"theirs-{side}")
+        episode = ExternalEpisode(plan, (1, 1), planner=f"theirs-{side}")
         with EpisodeWriter(tmp_path / side / "1.mcap", episode.header) as writer:
             for k in range(steps):
                 outcome = "mapped" if k == steps - 1 else None
@@ -208,7 +208,7 @@ def test_every_verb_says_the_same_mapping_time_of_logs_without_a_truth(
     means = [row for row in rows("compare", tmp_path) if row["of"] == "mean"]
     assert [row["value"] for row in means if row["what"] == "mapping time"] == [2, 3]
     for side in (a, b):  # a second one, so that folders are compared
-        other = ForeignEpisode(plan, (2, 2), planner="theirs", seed=2)
+        other = ExternalEpisode(plan, (2, 2), planner="theirs", seed=2)
         with EpisodeWriter(side / "2.mcap", other.header) as writer:
             writer.write(other.step((2, 2), np.zeros((4, 6), np.int8), outcome="out_of_steps"))
     times = {row["seed"]: (row["time_a"], row["time_b"]) for row in rows("diff", a, b)}
