@@ -22,8 +22,8 @@ def branch(
             "--with",
             metavar="CHANGE",
             help="truth (false predictions are corrected with the ground truth), observed (no "
-            "prediction), predictor=NAME, planner=NAME, delta-free=X, delta-occupied=X, fail-safe=on, seed=N "
-            "or max-steps=N; can be repeated.",
+            "prediction), predictor=NAME, planner=NAME, delta-free=X, delta-occupied=X, "
+            "fail-safe=on, seed=N or max-steps=N; can be repeated.",
         ),
     ],
     predictor: WeightsOption = None,

@@ -149,7 +149,7 @@ def _plan_tasks(settings: RunConfig, folder: Path, *, force: bool) -> tuple[list
     if settings.predictor is None and others and tasks[0].config.predictor != "none":
         note(
             f"predictor {tasks[0].config.predictor} (the default) was trained at {TRAINED_AT} m "
-            f"per cell; these floor plans have {', '.join(f'{r:g}' for r in sorted(others))} m per cell"
+            f"per cell; these floor plans have {', '.join(f'{r:g}' for r in sorted(others))} m"
         )
     return tasks[: settings.episodes], refused + len(selection.missing)
 
