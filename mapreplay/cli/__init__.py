@@ -1,6 +1,6 @@
-"""The command line: a module a verb, each thin; nothing imports this.
+"""The command line: one thin module per verb; no other package imports it.
 
-Verbs import what is slow (torch, rerun, polars, numba) only when they run, so that help and
+Verbs import slow libraries (torch, rerun, polars, numba) only when they run, so that help and
 completion are quick.
 """
 
@@ -42,10 +42,10 @@ from mapreplay.text import one_line, printable
 FAILED: Final = 1
 INTERRUPTED: Final = 130
 DEBUG: Final = "MAPREPLAY_DEBUG"
-"""Environment variable: if it is set, an error that nobody foresaw is shown with its traceback."""
+"""Environment variable: if it is set, unexpected errors are shown with their traceback."""
 
 _FORMER_NAMES: Final = {"output": "out"}
-"""Options that had another name, which is still understood."""
+"""Former names of options, which still work."""
 
 app = typer.Typer(
     name="mapreplay",
@@ -96,7 +96,7 @@ def main() -> None:
         try:
             code = _run()
         except KeyboardInterrupt:
-            # Ctrl-C can come twice: Polars raises it, and then Python does. Once is enough.
+            # Ctrl-C can arrive twice, from Polars and from Python; handle it once.
             signal.signal(signal.SIGINT, signal.SIG_IGN)
             print("mapreplay: interrupted", file=sys.stderr)
             with suppress(MapreplayError, OSError):
@@ -108,8 +108,8 @@ def main() -> None:
 
 
 def _run() -> int:
-    """Run what the command line says; the exit code."""
-    # Other libraries say on stderr that they found no folder for their caches, and the like.
+    """Run the command line; returns the exit code."""
+    # Other libraries complain on stderr, for example about missing cache folders.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     try:
         code = app(prog_name="mapreplay", standalone_mode=False)
@@ -123,7 +123,7 @@ def _run() -> int:
     except typer.Abort:
         raise KeyboardInterrupt from None
     except BrokenPipeError:
-        return FAILED  # whoever read our output has seen enough
+        return FAILED  # the reader of our output has ended
     except (KeyboardInterrupt, SystemExit):
         raise
     except BaseException as error:  # a panic of a library in Rust is no Exception
@@ -136,17 +136,17 @@ def _run() -> int:
 
 
 def _unexpected(error: BaseException) -> str:
-    """What is said of an error that nobody foresaw where it arose."""
+    """The message for an unexpected error."""
     if isinstance(error, MemoryError):
-        return "out of memory; give it more, or less to do at a time"
+        return "out of memory; free memory, or process less at a time"
     if isinstance(error, FileNotFoundError) and not _is_folder_there():
-        return "the folder that this was started in is no longer there; change to another one"
+        return "the current folder no longer exists; change to another one"
     if isinstance(error, OSError) and error.strerror:
         where = f"{error.filename}: " if error.filename else ""
         return f"{where}{error.strerror}"
     return (
-        f"internal error, {type(error).__name__}: {one_line(error)}; please report it, with what "
-        f"is printed if {DEBUG}=1 is set"
+        f"internal error, {type(error).__name__}: {one_line(error)}; please report it with "
+        f"the output of the same command with {DEBUG}=1 set"
     )
 
 

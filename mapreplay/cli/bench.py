@@ -45,17 +45,20 @@ def _bench(context: typer.Context) -> None:
 SpecOption = Annotated[
     str, typer.Option("--floorplans", help="Source, see `mapreplay floorplans --help`.")
 ]
-IdsOption = Annotated[Path | None, typer.Option(help="File with one id a line.")]
+IdsOption = Annotated[Path | None, typer.Option(help="File with one floor-plan ID per line.")]
 
 
 @bench_app.command()
 def sim(
     floorplans: SpecOption = "procedural:60000-60099",
     ids: IdsOption = None,
-    limit: Annotated[int, typer.Option(min=1, help="At most so many floor plans.")] = 100,
+    limit: Annotated[int, typer.Option(min=1, help="Maximum number of floor plans.")] = 100,
     form: FormatOption = Format.TABLE,
 ) -> None:
-    """Steps a second of observed/observed Nearest Frontier on one core, recording off."""
+    """Simulated steps per second on one core, without recording.
+
+    Nearest Frontier with observed planning and target maps.
+    """
     import polars as pl
 
     from mapreplay.analysis.benchmarks.simulator import median_rate, time_simulation
@@ -73,13 +76,13 @@ def sim(
 
 @bench_app.command()
 def view(
-    steps: Annotated[int, typer.Option(min=2, help="Of the episode, at most.")] = 1000,
-    size: Annotated[int, typer.Option(help="Cells a side: 64, 128, 256 or 512.")] = 128,
+    steps: Annotated[int, typer.Option(min=2, help="Maximum number of steps.")] = 1000,
+    size: Annotated[int, typer.Option(help="Cells per side: 64, 128, 256 or 512.")] = 128,
     predictor: Annotated[str, typer.Option(help="d1, d2, or a .safetensors file.")] = "d1",
     rounds: Annotated[int, typer.Option(min=1, help="Repetitions; the best is printed.")] = 3,
     form: FormatOption = Format.TABLE,
 ) -> None:
-    """From a log to what the viewer opens, beside Rerun's own importer: time and size."""
+    """Time to convert a log for the viewer, compared with Rerun's own importer, and its size."""
     import polars as pl
 
     from mapreplay.analysis.benchmarks.view import floor_plan_of, measure_view, record_long
@@ -96,17 +99,20 @@ def view(
 
 @bench_app.command()
 def savings(
-    predictor: Annotated[str, typer.Option(help="Name, or a .safetensors file.")],
+    predictor: Annotated[str, typer.Option(help="Predictor name or .safetensors file.")],
     floorplans: SpecOption = "procedural:50000-50049",
     ids: IdsOption = None,
-    limit: Annotated[int, typer.Option(min=1, help="At most so many floor plans.")] = 50,
-    planner: Annotated[str, typer.Option(help="Planner on fused/fused.")] = "nearest",
-    device: Annotated[str, typer.Option(help="cpu, cuda, ...")] = "cpu",
+    limit: Annotated[int, typer.Option(min=1, help="Maximum number of floor plans.")] = 50,
+    planner: Annotated[
+        str, typer.Option(help="Planner of the episodes with prediction.")
+    ] = "nearest",
+    device: Annotated[str, typer.Option(help="Device for the predictor: cpu, cuda, ...")] = "cpu",
     form: FormatOption = Format.TABLE,
 ) -> None:
-    """Reduction of mapping time: fused/fused with fail-safe against observed/observed Nearest.
+    """Mapping time that a predictor saves, and the quality of its predictions.
 
-    And how the predictor does on the maps of the latter's walk, the same for every predictor.
+    PLANNER on fused maps with fail-safe, compared with Nearest Frontier on observed maps. The
+    predictions are scored on the maps of the latter, which are the same for every predictor.
     """
     import polars as pl
 
@@ -135,7 +141,7 @@ def savings(
     )
     note(
         f"predictions of unobserved cells: ECE {percent(mean.ece)}, log loss "
-        f"{with_interval(mean.log_loss, 3)} nats, sure of {percent(mean.decided)}"
+        f"{with_interval(mean.log_loss, 3)} nats, confident about {percent(mean.decided)}"
     )
 
 
@@ -160,30 +166,35 @@ def _columns(row: Saving) -> dict[str, object]:
 def limits(
     floorplans: SpecOption = "procedural:50000-50049",
     ids: IdsOption = None,
-    limit: Annotated[int, typer.Option(min=1, help="At most so many floor plans.")] = 50,
+    limit: Annotated[int, typer.Option(min=1, help="Maximum number of floor plans.")] = 50,
     predictor: Annotated[
         list[str] | None,
-        typer.Option(help="Also who knows what this one would say; can be repeated."),
+        typer.Option(
+            help="Also bound agents that know the predictions of this predictor; can be repeated."
+        ),
     ] = None,
     infill: Annotated[
         list[int] | None,
-        typer.Option(min=1, help="Also what is right within so many cells; can be repeated."),
+        typer.Option(
+            min=1,
+            help="Also bound predictions that are correct within this many cells; can be repeated.",
+        ),
     ] = None,
-    target: Annotated[float, typer.Option(help="Coverage, above 0 and at most 1.")] = 0.98,
+    target: Annotated[float, typer.Option(help="Target coverage, above 0 and at most 1.")] = 0.98,
     delta_free: Annotated[float, typer.Option(min=0, max=1)] = 0.93,
     delta_occupied: Annotated[float, typer.Option(min=0, max=1)] = 0.95,
-    jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+    jobs: Annotated[int, typer.Option(min=1, help="Number of processes.")] = 1,
     markdown: Annotated[
-        Path | None, typer.Option(help="Write the table into this file, in Markdown.")
+        Path | None, typer.Option(help="Write the table to this file as Markdown.")
     ] = None,
     form: FormatOption = Format.TABLE,
     output: OutputOption = None,
     force: ForceOption = False,
 ) -> None:
-    """What can be had at all: tours that know the floor plan, and proved lower bounds.
+    """Limits of the mapping time: oracle tours (full map) and proven lower bounds.
 
-    Mapping times and their reduction against observed/observed Nearest Frontier. What was found
-    is kept in the cache, so that a stopped run goes on.
+    With the reduction compared to Nearest Frontier on observed maps. Results are cached, so that
+    a stopped run resumes where it stopped.
     """
     check_outputs(output, markdown, force=force)
     if not 0 < target <= 1:
@@ -200,7 +211,7 @@ def limits(
     from mapreplay.predictors import load_predictor
 
     for name in predictor or ():
-        load_predictor(name)  # what is wrong is said before hours of work
+        load_predictor(name)  # fail before hours of work
     thresholds = Thresholds(delta_free, delta_occupied)
     question = Question(target, thresholds, tuple(predictor or ()), tuple(infill or ()))
     plans = list(_plans(floorplans, ids, limit))
@@ -217,7 +228,9 @@ def limits(
     if not rows:
         raise FloorPlanError(f"{floorplans}: no floor plan to measure on")
     order = {plan.id: number for number, plan in enumerate(plans)}
-    rows.sort(key=lambda row: order[row.floor_plan])  # whoever was done first
+    rows.sort(
+        key=lambda row: order[row.floor_plan]
+    )  # they arrive in the order in which they finished
     if markdown is not None:
         write_whole(markdown, limits_markdown(rows).encode(), force=force)
         note(f"written: {markdown}")
@@ -230,12 +243,12 @@ def limits(
 @bench_app.command()
 def predict(
     predictor: Annotated[str, typer.Option(help="d1, d2, or a .safetensors file.")] = "d1",
-    size: Annotated[int, typer.Option(min=8, help="Cells a side, a multiple of 8.")] = 64,
+    size: Annotated[int, typer.Option(min=8, help="Cells per side, a multiple of 8.")] = 64,
     maps: Annotated[int, typer.Option(min=1, help="Observed maps to predict.")] = 64,
     rounds: Annotated[int, typer.Option(min=1, help="Repetitions; the best is printed.")] = 5,
     form: FormatOption = Format.TABLE,
 ) -> None:
-    """The network on one core beside PyTorch: time a map, and how far the numbers differ."""
+    """Prediction time per map on one core, compared with PyTorch, and numerical differences."""
     if size % 8:
         raise UsageError(f"--size {size}: not a multiple of 8")
     import polars as pl
@@ -250,7 +263,7 @@ def predict(
         [
             {
                 "how": line["how"],
-                "ms a map": f"{line['ms_per_map']:.2f}",
+                "ms per map": f"{line['ms_per_map']:.2f}",
                 "maps/s": f"{line['maps_per_second']:.0f}",
                 "speed-up": f"{line['speed_up']:.2f}",
                 "max diff": f"{line['largest_difference']:.1e}",
@@ -266,22 +279,27 @@ def predict(
 def log(
     floorplans: SpecOption = "procedural:60000-60099",
     ids: IdsOption = None,
-    steps: Annotated[int, typer.Option(min=2, help="At most so many steps an episode.")] = 300,
+    steps: Annotated[int, typer.Option(min=2, help="Maximum number of steps per episode.")] = 300,
     rounds: Annotated[int, typer.Option(min=1, help="Repetitions; medians are printed.")] = 9,
-    predictor: Annotated[str, typer.Option(help="blur (a cheap one), or a name or file.")] = "blur",
+    predictor: Annotated[
+        str, typer.Option(help="blur (cheap), or a predictor name or file.")
+    ] = "blur",
     folder: Annotated[
         Path | None,
         typer.Option(
-            exists=True, file_okay=False, help="Write here; one in memory leaves the disk out."
+            exists=True,
+            file_okay=False,
+            help="Folder for the files; use one in memory to exclude the disk.",
         ),
     ] = None,
     form: FormatOption = Format.TABLE,
 ) -> None:
-    """Recording, reading and size of a log against other libraries, on one floor plan and four.
+    """Recording, reading and size of a log, compared with other libraries.
 
-    Recording is timed between opening and closing the file; ours includes pushing it to the
-    disk every 20 steps. Reading is timed from opening to the last array, ours with all checks.
-    `ours` is our value divided by that of the line: below 1 we are better.
+    On one floor plan and on four in a square. Recording is timed between opening and closing the
+    file; ours includes flushing it to the disk every 20 steps. Reading is timed from opening to
+    the last array, ours with all checks. `ours` is our value divided by that of the row: below 1
+    we are better.
     """
     import polars as pl
 
@@ -294,7 +312,7 @@ def log(
     if len(plans) == 4 and len({plan.shape for plan in plans}) == 1:
         places.append(four_in_a_square(plans))
     else:
-        note("the larger map is left out: it takes four floor plans of one size")
+        note("the larger map is left out: it needs four floor plans of the same size")
     rows = []
     for place in places:
         run = simulate(place, predictor, steps)

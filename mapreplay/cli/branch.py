@@ -1,4 +1,4 @@
-"""`mapreplay branch`: run an episode on from a logged step under a changed assumption."""
+"""`mapreplay branch`: resume an episode from a logged step with a changed assumption."""
 
 from __future__ import annotations
 
@@ -14,30 +14,32 @@ from mapreplay.cli.output import ForceOption, Format, FormatOption, emit, note
 def branch(
     log: LogArgument,
     at: Annotated[
-        int, typer.Option(metavar="STEP", help="The step that is made anew; -1 is the last.")
+        int, typer.Option(metavar="STEP", help="First step to recompute; -1 is the last.")
     ],
     change: Annotated[
         list[str],
         typer.Option(
             "--with",
             metavar="CHANGE",
-            help="truth (false predictions are set right), observed (nothing is predicted), "
-            "predictor=NAME, planner=NAME, delta-free=X, delta-occupied=X, fail-safe=on, seed=N "
-            "or max-steps=N; can be repeated.",
+            help="truth (false predictions are corrected with the ground truth), observed (no "
+            "prediction), predictor=NAME, planner=NAME, delta-free=X, delta-occupied=X, "
+            "fail-safe=on, seed=N or max-steps=N; can be repeated.",
         ),
     ],
     predictor: WeightsOption = None,
-    device: Annotated[str, typer.Option(help="Where the predictor runs.")] = "cpu",
+    device: Annotated[str, typer.Option(help="Device for the predictor: cpu, cuda, ...")] = "cpu",
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="The new log (default: beside LOG, with the change)."),
+        typer.Option(
+            "--out", "-o", help="The new log (default: next to LOG, named after the change)."
+        ),
     ] = None,
     form: FormatOption = Format.TABLE,
     force: ForceOption = False,
 ) -> None:
-    """Run an episode on from a logged step under a changed assumption.
+    """Resume an episode from a logged step with a changed assumption (closed loop).
 
-    The result is a log of its own, with the steps before, and linked to LOG: closed loop.
+    The result is a separate log, which contains the steps before and refers to LOG.
     """
     import polars as pl
 

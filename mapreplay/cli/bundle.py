@@ -13,23 +13,23 @@ from mapreplay.errors import UsageError
 from mapreplay.files import write_whole
 
 LARGE = 2 << 20
-"""Bytes that are too many to be mailed."""
+"""Size in bytes above which a bundle is too large for an e-mail."""
 
 
 def bundle(
     log: LogArgument,
     output: Annotated[
-        Path | None, typer.Option("--out", "-o", help="The zip (default: beside LOG).")
+        Path | None, typer.Option("--out", "-o", help="Zip file to write (default: next to LOG).")
     ] = None,
     until: Annotated[
-        int | None, typer.Option(metavar="STEP", help="Only the steps up to this one.")
+        int | None, typer.Option(metavar="STEP", help="Last step to include (default: all steps).")
     ] = None,
     force: ForceOption = False,
 ) -> None:
-    """Pack a log with its diagnosis, in words, as JSON and as a picture, into one zip.
+    """Pack a log and its diagnosis (text, JSON and picture) into one zip file.
 
-    A manifest has the hash of everything; the same log gives the same bytes. A part of a log
-    starts at step 0, like every log that can be verified: there is no window in its middle.
+    A manifest has the hash of every file; the same log gives the same bytes. With --until the
+    bundle has the steps from 0 up to that one, so that it can be verified like every log.
     """
     from mapreplay.analysis.bundling import make_bundle
 
@@ -44,5 +44,5 @@ def bundle(
     part = "" if made.whole else " (a part of the log)"
     note(f"written: {path}, {len(made.data) / 1000:.0f} kB, {made.steps} steps{part}")
     if len(made.data) > LARGE:
-        note("that is more than 2 MB: pack the steps up to the sealing with --until STEP")
+        note("larger than 2 MB; use --until STEP to pack only the steps up to the sealing")
     end_with([opened])

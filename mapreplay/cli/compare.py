@@ -1,4 +1,4 @@
-"""`mapreplay compare`: which group is better on the same floor plans, and how sure that is."""
+"""`mapreplay compare`: which group is better on the same floor plans, with intervals and tests."""
 
 from __future__ import annotations
 
@@ -48,43 +48,46 @@ def compare(
     by: Annotated[
         list[str] | None,
         typer.Option(
-            help="planner, predictor, maps, thresholds, configuration, or any key of it; can be "
-            "repeated."
+            help="Key to group by: planner, predictor, maps, thresholds, configuration, or one of "
+            "its keys; can be repeated."
         ),
     ] = None,
     baseline: Annotated[
-        str | None, typer.Option(help="The group that others are compared with.")
+        str | None, typer.Option(help="Group with which the others are compared.")
     ] = None,
     where: WhereOption = None,
     target: Annotated[
-        float | None, typer.Option(help="Coverage that counts as mapped (default: as it was run).")
+        float | None,
+        typer.Option(help="Coverage that counts as mapped (default: the recorded target)."),
     ] = None,
     budget: Annotated[
-        int | None, typer.Option(help="Steps that all may take (default: as it was run).")
+        int | None,
+        typer.Option(help="Step budget for all episodes (default: the recorded budget)."),
     ] = None,
-    test: Annotated[str, typer.Option(help="sign-flip or wilcoxon.")] = "sign-flip",
+    test: Annotated[
+        str, typer.Option(help="Test of significance: sign-flip or wilcoxon.")
+    ] = "sign-flip",
     regret: Annotated[
         bool,
         typer.Option(
             "--regret",
-            help="Also how much longer it took than a planner that knows the floor plan: about a "
-            "second a floor plan, once.",
+            help="Also compare with an oracle planner (full map); takes about a second per floor "
+            "plan the first time.",
         ),
     ] = False,
     plot: Annotated[
-        Path | None, typer.Option(help="Draw the figures into this .png or .svg.")
+        Path | None, typer.Option(help="Draw the figures to this .png or .svg file.")
     ] = None,
-    html: Annotated[
-        Path | None, typer.Option(help="Write a self-contained page with everything.")
-    ] = None,
+    html: Annotated[Path | None, typer.Option(help="Write a self-contained HTML report.")] = None,
     form: FormatOption = Format.TABLE,
     output: OutputOption = None,
     force: ForceOption = False,
 ) -> None:
     """Compare groups of episodes on the same floor plans.
 
-    Pairs by floor plan, start and seed; a failure takes the whole budget. Differences from the
-    baseline with 95 % intervals over floor plans, and tests corrected for their number (Holm).
+    Episodes are paired by floor plan, start and seed; a failure counts as the whole budget.
+    Differences from the baseline have 95 % intervals over floor plans, and p-values are corrected
+    for multiple tests (Holm).
     """
     check_outputs(output, plot, html, force=force)
     if plot is not None and plot.suffix not in {".png", ".svg"}:
@@ -122,7 +125,7 @@ def compare(
 
 
 def _regret(episodes: list[LoggedEpisode], target: float | None) -> Measure:
-    """The measure, after the references were found, with a bar."""
+    """The measure, after computing the reference times with a progress bar."""
     from mapreplay.analysis.limits.regret import REGRET, reference_times
     from mapreplay.cli.progress import progress_bar
 

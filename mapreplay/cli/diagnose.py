@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from mapreplay.analysis.diagnosis.reliability import Reliability
 
 FEW = 10
-"""Logs of which each gets its paragraph; of more only the tables are shown."""
+"""Maximum number of logs that are reported in a paragraph each, not only in tables."""
 WIDTH = 80
 
 
@@ -37,20 +37,21 @@ def diagnose(
     paths: PathsArgument,
     where: WhereOption = None,
     html: Annotated[
-        Path | None, typer.Option(help="Write a page with maps and probability histories.")
+        Path | None, typer.Option(help="Write an HTML report with maps and probability histories.")
     ] = None,
     save: Annotated[
         bool,
-        typer.Option("--save/--no-save", help="Save each diagnosis next to its log, as JSON."),
+        typer.Option("--save/--no-save", help="Save each diagnosis as JSON next to its log."),
     ] = True,
     form: FormatOption = Format.TABLE,
     output: OutputOption = None,
     force: ForceOption = False,
 ) -> None:
-    """Explain every agent that its own predicted map sealed in.
+    """Explain why agents were sealed in by their own predicted map.
 
-    Which cells, since when, from which evidence, and what would have helped; also near misses,
-    detours and wrong coverage. One log gets a paragraph, many get tables.
+    Reports the blocking cells, the step and evidence of their prediction, and what would have
+    helped; also near misses, detours and wrong coverage. One log gives a paragraph, many give
+    tables.
     """
     check_outputs(output, html, force=force)
     form = _form(form, output)
@@ -87,19 +88,21 @@ def diagnose(
         if len(diagnoses) > 1:
             _print_tables(found)
         if len(diagnoses) > FEW:
-            note("a paragraph on one of them: mapreplay diagnose LOG")
+            note("for the paragraph on one log: mapreplay diagnose LOG")
     if lost:
         raise typer.Exit(LOST)
 
 
 def _form(form: Format, output: Path | None) -> Format:
-    """How the result is written; text goes to stdout only."""
+    """The output format; text goes to stdout only."""
     if output is None:
         return form
     known = {".json": Format.JSON, ".csv": Format.CSV, ".parquet": Format.PARQUET}
     if form is Format.TABLE:
         if output.suffix not in known:
-            raise UsageError(f"-o {output}: ends in none of {', '.join(known)}; or use --html")
+            raise UsageError(
+                f"-o {output}: should end in {' or '.join(known)}; for a report use --html"
+            )
         return known[output.suffix]
     return form
 
@@ -131,7 +134,7 @@ def _diagnose(paths: list[Path], where: list[str] | None) -> tuple[dict[str, Dia
 
 
 def _save(diagnoses: dict[str, Diagnosis]) -> None:
-    """Next to each log; a folder that cannot be written to is named once."""
+    """Save next to each log; a folder that is not writable is reported once."""
     from mapreplay.analysis.diagnosis.record import record_of, save_next_to
 
     problems = []
@@ -171,7 +174,7 @@ def _emit_json(diagnoses: dict[str, Diagnosis], output: Path | None, *, force: b
 
 
 def _told(file: str, diagnosis: Diagnosis, reliability: Reliability) -> str:
-    """For a terminal; a command at the end stands on a line of its own, to be copied."""
+    """The diagnosis for a terminal; a command at the end is on a line of its own, to be copied."""
     from mapreplay.analysis.diagnosis.paragraph import paragraph, what_if
 
     said = printable(paragraph(diagnosis, reliability))

@@ -32,17 +32,18 @@ def floorplans(
         str,
         typer.Argument(
             help="procedural:FIRST-LAST, a HouseExpo archive, folder or JSON file, a map_server "
-            "YAML, an image, or a registered SOURCE:REST. Greys of images and maps: "
+            "YAML, an image, or a registered SOURCE:REST. Grey levels of images and maps: "
             "PATH:free=0.3,occupied=0.6,negate=1."
         ),
     ] = "procedural",
-    ids: Annotated[Path | None, typer.Option(help="File with one id a line.")] = None,
-    limit: Annotated[int, typer.Option(min=1, help="At most so many plans.")] = 20,
+    ids: Annotated[Path | None, typer.Option(help="File with one floor-plan ID per line.")] = None,
+    limit: Annotated[int, typer.Option(min=1, help="Maximum number of floor plans.")] = 20,
     resolution: Annotated[
-        float | None, typer.Option(min=0.001, help="Metres a cell, where it can be chosen.")
+        float | None,
+        typer.Option(min=0.001, help="Metres per cell, for sources that are rasterized."),
     ] = None,
     preview: Annotated[
-        Path | None, typer.Option(help="Draw the plans into this PNG, a contact sheet.")
+        Path | None, typer.Option(help="Draw the floor plans to this PNG file, as a contact sheet.")
     ] = None,
     form: FormatOption = Format.TABLE,
     output: OutputOption = None,
@@ -50,7 +51,7 @@ def floorplans(
 ) -> None:
     """List, describe, preview and check floor plans.
 
-    Exit code 0: all were read, 3: some were left out, 1: none was read.
+    Exit code 0 if all were read, 3 if some were left out, 1 if none was read.
     """
     check_outputs(output, preview, force=force)
     import polars as pl

@@ -26,12 +26,15 @@ WeightsOption = Annotated[
     typer.Option(
         "--predictor",
         metavar="FILE",
-        help="Weights of the log's predictor, if it is not a registered one; can be repeated.",
+        help="Weights of the log's predictor if it is not registered; can be repeated.",
     ),
 ]
 WhereOption = Annotated[
     list[str] | None,
-    typer.Option("--where", help="Only episodes like this: outcome=sealed_in, steps>300, ..."),
+    typer.Option(
+        "--where",
+        help="Only episodes that match, such as outcome=sealed_in or steps>300; can be repeated.",
+    ),
 ]
 
 
@@ -76,7 +79,7 @@ def read_episodes(
     episodes.sort(key=lambda episode: episode.path)
     chosen = [e for e in episodes if all(c.holds(e.row) for c in conditions)]
     if episodes and not chosen:
-        note(f"none of {len(episodes)} episodes is like that")
+        note(f"none of {len(episodes)} episodes matches --where")
     branches = sum(e.row.branch != "" for e in chosen)
     if 0 < branches < len(chosen):
         note(f"{branches} of {len(chosen)} episodes are branches; without them: --where branch=")
@@ -85,22 +88,22 @@ def read_episodes(
 
 
 SHOWN: Final = 10
-"""Logs that are not whole, or are there twice, that are named."""
+"""Maximum number of incomplete or duplicate logs that are named."""
 
 
 def tell_states(states: Mapping[Path, LogState]) -> int:
-    """Say on stderr which logs are not whole, and why; how many."""
+    """Report the incomplete logs on stderr; returns their number."""
     lines = [f"{path}: {state}" for path, state in states.items() if not state.whole]
     _tell(lines, "logs that are not whole")
     return len(lines)
 
 
 def tell_same(logs: Sequence[Path]) -> dict[Path, Path]:
-    """Say on stderr which logs are the same file as one before them; which they are."""
+    """Report on stderr the logs that are copies of an earlier one; returns copy -> original."""
     from mapreplay.recorders.log.find import find_same
 
     same = find_same(logs)
-    _tell([f"{log}: the same file as {first}" for log, first in same.items()], "logs like that")
+    _tell([f"{log}: the same file as {first}" for log, first in same.items()], "copies")
     return same
 
 
@@ -112,7 +115,7 @@ def _tell(lines: Sequence[str], what: str) -> None:
 
 
 def end_with(logs: Iterable[EpisodeLog]) -> None:
-    """End a verb on these logs: with code 3 if one of them is not whole."""
+    """End a verb on these logs, with exit code 3 if one of them is incomplete."""
     if not all(log.state.whole for log in logs):
         raise typer.Exit(LOST)
 
@@ -120,7 +123,7 @@ def end_with(logs: Iterable[EpisodeLog]) -> None:
 def open_log(path: Path) -> EpisodeLog:
     """The log at `path`, or the only one in that folder or of that pattern.
 
-    That it is not whole is said on stderr; see `end_with`.
+    An incomplete log is reported on stderr; see `end_with`.
 
     Raises:
         LogError: there is none, or it cannot be read.

@@ -45,7 +45,7 @@ SHORT: Final = {
 
 
 class Per(StrEnum):
-    """What a row is of."""
+    """What a row of the table describes."""
 
     STEP = "step"
     EPISODE = "episode"
@@ -54,22 +54,24 @@ class Per(StrEnum):
 def metrics(
     paths: PathsArgument,
     where: WhereOption = None,
-    per: Annotated[Per, typer.Option(help="One row a step, or one an episode.")] = Per.STEP,
+    per: Annotated[Per, typer.Option(help="One row per step or per episode.")] = Per.STEP,
     metric: Annotated[
-        list[str] | None, typer.Option(help="A further metric by name; can be repeated.")
+        list[str] | None, typer.Option(help="Name of an additional metric; can be repeated.")
     ] = None,
     unknown_as: Annotated[
-        str, typer.Option(help="What unknown cells count as: free, occupied or ignored.")
+        str, typer.Option(help="How unknown cells are counted: free, occupied or ignored.")
     ] = "free",
     region: Annotated[
-        str, typer.Option(help="Cells that count: explorable or all.")
+        str, typer.Option(help="Cells that are scored: explorable or all.")
     ] = "explorable",
     jobs: Annotated[
         int | None,
-        typer.Option(min=1, show_default="the cores, for many logs", help="Processes."),
+        typer.Option(
+            min=1, show_default="all cores if there are many logs", help="Number of processes."
+        ),
     ] = None,
     no_cache: Annotated[
-        bool, typer.Option("--no-cache", help="Measure anew, and keep nothing for the next time.")
+        bool, typer.Option("--no-cache", help="Recompute everything and cache nothing.")
     ] = False,
     form: FormatOption = Format.TABLE,
     output: OutputOption = None,
@@ -77,11 +79,9 @@ def metrics(
 ) -> None:
     """Recompute all metrics, per step or per episode.
 
-    From the logged maps:
-
-    Scores, coverage and its milestones, calibration on unobserved cells, also by distance from
-    the observed ones, and how stable the prediction is. With the default options they are
-    compared with what was recorded, bit for bit.
+    From the logged maps: scores, coverage and its milestones, calibration on unobserved cells
+    (also by distance from the observed ones), and the stability of the prediction. With the
+    default options the result is compared with the recorded metrics, bit for bit.
     """
     check_outputs(output, force=force)
     from mapreplay.analysis.metrics.measure import Scope
@@ -128,7 +128,7 @@ def metrics(
 
 @contextmanager
 def _store(*, no_cache: bool) -> Iterator[Store]:
-    """The cache, or where nothing is kept."""
+    """The cache, or a temporary store."""
     from mapreplay.analysis.cache import user_cache
     from mapreplay.analysis.metrics.store import Store, temporary_store
 
@@ -145,12 +145,12 @@ def _store(*, no_cache: bool) -> Iterator[Store]:
 
 
 def _tell_lost_results(store: Store, measured: list[MeasuredLog]) -> None:
-    """That the disk became full, say; nobody expects to find what a temporary store has."""
+    """Report results that could not be cached, for example because the disk is full."""
     from mapreplay.analysis.cache import user_cache
 
     lost = sum(not log.kept for log in measured)
     if lost and store.cache == user_cache("metrics"):
-        note(f"{store.cache.folder}: cannot be written; {lost} results are not kept")
+        note(f"{store.cache.folder}: cannot be written; {lost} results are not cached")
 
 
 def _measure(
@@ -203,13 +203,13 @@ def _brief(episodes: pl.DataFrame, further: list[str]) -> pl.DataFrame:
 
 
 def _tell(episodes: pl.DataFrame, scope: Scope, known: int) -> None:
-    """Whether the metrics are those that were recorded."""
+    """Report whether the metrics agree with the recorded ones."""
     wrong = episodes.filter(episodes["disagreements"] > 0)
     if len(wrong):
         file, first = wrong.select("file", "first_disagreement").row(0)
         raise LogError(f"{file}: {first} ({wrong['disagreements'].sum()} values disagree)")
     if scope.as_recorded:
         steps = int(episodes["steps"].sum()) + len(episodes)
-        note(f"{steps} steps agree with what was recorded, bit for bit")
+        note(f"{steps} steps agree with the recorded metrics, bit for bit")
     if known:
-        note(f"{known} of {len(episodes)} episodes were measured before, and are unchanged")
+        note(f"{known} of {len(episodes)} episodes were unchanged and taken from the cache")

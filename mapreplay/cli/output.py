@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 
 WIDTH: Final = 80
-"""Columns that a line for people has at most."""
+"""Maximum width of a text line in columns."""
 _LONGEST: Final = 300
-"""Characters that a cell of a table has at most; names of files have up to 255."""
+"""Maximum length of a table cell in characters; file names have up to 255."""
 LOST = 3
-"""Exit code: done, but something was lost or could not be read."""
+"""Exit code: done, but something was left out or could not be read."""
 
 
 class Format(StrEnum):
@@ -44,11 +44,11 @@ class Format(StrEnum):
 
 _BY_ENDING = {f".{form}": form for form in Format if form is not Format.TABLE}
 
-FormatOption = Annotated[Format, typer.Option("--format", help="How to print the result.")]
+FormatOption = Annotated[Format, typer.Option("--format", help="Output format.")]
 OutputOption = Annotated[
     Path | None, typer.Option("--out", "-o", help="Write the result to this file.")
 ]
-ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
+ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite existing files.")]
 
 
 def emit(
@@ -143,7 +143,7 @@ def check_outputs(*paths: Path | None, force: bool) -> None:
     for path in named:
         check_new(path, force=force)
     if twice := [path for path in named if named.count(path) > 1]:
-        raise UsageError(f"{twice[0]}: is to be written twice; choose another name for one")
+        raise UsageError(f"{twice[0]}: given twice as an output; choose different names")
 
 
 def _resolve(form: Format, output: Path | None) -> Format:
@@ -155,12 +155,12 @@ def _resolve(form: Format, output: Path | None) -> Format:
     if output is not None and form is Format.TABLE:
         form = _BY_ENDING.get(output.suffix, form)
     if form is Format.PARQUET and _goes_to_terminal(output):
-        raise UsageError("Parquet is binary: name a file with -o")
+        raise UsageError("Parquet is binary; write it to a file with -o")
     return form
 
 
 def _deliver(blocks: Iterable[bytes], output: Path | None, *, force: bool) -> None:
-    """Bytes to stdout or into a file, as they come."""
+    """Write bytes to stdout or to a file, as they come."""
     if output is not None:
         write_whole(output, blocks, force=force)
         return
@@ -174,7 +174,7 @@ def _goes_to_terminal(output: Path | None) -> bool:
 
 
 def _csv(frame: pl.DataFrame, output: Path | None, *, head: bool = True) -> bytes:
-    """All text as it is; but what would drive a terminal is escaped where it goes to one."""
+    """CSV as it is; control characters are escaped only where it goes to a terminal."""
     text = frame.write_csv(include_header=head)
     if _goes_to_terminal(output):
         text = "\n".join(map(printable, text.split("\n")))
@@ -182,7 +182,7 @@ def _csv(frame: pl.DataFrame, output: Path | None, *, head: bool = True) -> byte
 
 
 def _deliver_text(text: pl.DataFrame | Shown, output: Path | None, *, force: bool) -> None:
-    """What people read, to stdout in the encoding that it has, or into a file."""
+    """Write text to stdout in its encoding, or to a file in UTF-8."""
     shown = _for_people(text, wide=output is not None)
     if output is None:
         print(shown, flush=True)
@@ -191,12 +191,12 @@ def _deliver_text(text: pl.DataFrame | Shown, output: Path | None, *, force: boo
 
 
 def note(line: str) -> None:
-    """Say something beside the result, on stderr, in one line."""
+    """Print a message on stderr, in one line."""
     print(printable(line), file=sys.stderr)
 
 
 def say(text: str) -> None:
-    """Say lines to people, on stdout: all of `text` but its line ends is `printable`."""
+    """Print text on stdout: everything except its line ends is `printable`."""
     print("\n".join(map(printable, text.split("\n"))), flush=True)
 
 

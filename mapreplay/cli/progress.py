@@ -1,4 +1,4 @@
-"""Progress on stderr: bars on a terminal; elsewhere nothing, or a line a minute."""
+"""Progress on stderr: bars on a terminal; elsewhere nothing, or one line per minute."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mapreplay.text import printable
 
 
 class _PlainColumn(TextColumn):
-    """Names and errors as they are: nothing in them is markup."""
+    """Names and errors without interpretation as markup."""
 
     def render(self, task: Task) -> Text:
         return Text(printable(self.text_format.format(task=task)), style="none")
@@ -34,11 +34,11 @@ def progress_bar(*columns: str) -> Progress:
     )
 
 
-SECONDS_A_LINE: Final = 60.0
+SECONDS_PER_LINE: Final = 60.0
 
 
 class TimeLeft:
-    """For hours of work whose stderr is a file: a line a minute; silent on a terminal."""
+    """Progress of hours of work if stderr is a file: one line per minute; silent on a terminal."""
 
     def __init__(self, what: str, done: int, total: int) -> None:
         self._what, self._done, self._total = what, done, total
@@ -46,10 +46,10 @@ class TimeLeft:
         self._began = self._said = time.monotonic()
 
     def advance(self) -> None:
-        """One more is done."""
+        """Count one more as done."""
         self._done += 1
         now = time.monotonic()
-        if sys.stderr.isatty() or now - self._said < SECONDS_A_LINE:
+        if sys.stderr.isatty() or now - self._said < SECONDS_PER_LINE:
             return
         self._said = now
         pace = (now - self._began) / (self._done - self._began_with)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from mapreplay.recorders.batch import Task
 
 TRAINED_AT = 0.2
-"""Metres a cell of the floor plans that our predictors were trained on."""
+"""Metres per cell of the floor plans that our predictors were trained on."""
 
 
 def _load_model() -> type[RunConfig]:
@@ -37,10 +37,13 @@ RunCommand = command_of(_load_model)
 def run(
     context: typer.Context,
     config: Annotated[
-        Path | None, typer.Option(help="TOML file with these options as keys.")
+        Path | None,
+        typer.Option(
+            help="TOML file with these options as keys; options given here take precedence."
+        ),
     ] = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Skip the episodes that are finished in --out.")
+        bool, typer.Option("--resume", help="Skip the episodes that are already finished in --out.")
     ] = False,
     view: Annotated[bool, typer.Option("--view", help="Watch the episode live in Rerun.")] = False,
     form: FormatOption = Format.TABLE,
@@ -53,7 +56,7 @@ def run(
     from mapreplay.predictors import load_predictor
 
     if resume and settings.out is None:
-        raise UsageError("run --resume: name the folder of the stopped run with --out")
+        raise UsageError("run --resume: give the folder of the stopped run with --out")
     folder = settings.out or Path("runs") / datetime.now().strftime("%Y%m%d-%H%M%S")
     tasks, lost = _plan_tasks(settings, folder, force=force)
     if not tasks:
@@ -61,7 +64,7 @@ def run(
     there = [task.path for task in tasks if task.path.exists()]
     if there and not (resume or force):
         raise UsageError(
-            f"{len(there)} of {len(tasks)} logs exist, such as {there[0]}; go on with --resume, "
+            f"{len(there)} of {len(tasks)} logs exist, such as {there[0]}; continue with --resume, "
             "overwrite with --force, or choose another --out"
         )
     # Refuse an unknown or broken planner or predictor before anything runs.
@@ -74,7 +77,7 @@ def run(
     try:
         done = _watch(tasks) if view else _record(tasks, settings.jobs)
     except KeyboardInterrupt:
-        note(f"{folder}: what was being recorded stays readable as .part; {_go_on(folder)}")
+        note(f"{folder}: unfinished logs stay readable as .part; {_how_to_resume(folder)}")
         raise
     logs = sorted(finished + done)
     if logs:
@@ -84,7 +87,7 @@ def run(
             note(f"next: {shell_command(['mapreplay', 'view', logs[0]])}")
     failed = len(tasks) - len(done)
     if failed:
-        note(f"{failed} of {len(tasks)} episodes failed; {_go_on(folder)}")
+        note(f"{failed} of {len(tasks)} episodes failed; {_how_to_resume(folder)}")
         raise typer.Exit(1)
     if lost:
         raise typer.Exit(LOST)
@@ -101,7 +104,7 @@ def _settings(path: Path | None, given: dict[str, Any]) -> RunConfig:
 
 
 def _plan_tasks(settings: RunConfig, folder: Path, *, force: bool) -> tuple[list[Task], int]:
-    """The episodes to run, and how many floor plans cannot be had."""
+    """The episodes to run, and the number of floor plans that cannot be loaded."""
     from mapreplay.floorplans import load_each, open_source, read_ids, select
     from mapreplay.floorplans.plausibility import examine, warning_lines
     from mapreplay.recorders.batch import Task
@@ -145,8 +148,8 @@ def _plan_tasks(settings: RunConfig, folder: Path, *, force: bool) -> tuple[list
     others = {task.floor_plan.resolution for task in tasks} - {TRAINED_AT}
     if settings.predictor is None and others and tasks[0].config.predictor != "none":
         note(
-            f"predictor {tasks[0].config.predictor} (by default) was trained at {TRAINED_AT} m a "
-            f"cell; here a cell has {', '.join(f'{r:g}' for r in sorted(others))} m"
+            f"predictor {tasks[0].config.predictor} (the default) was trained at {TRAINED_AT} m "
+            f"per cell; these floor plans have {', '.join(f'{r:g}' for r in sorted(others))} m"
         )
     return tasks[: settings.episodes], refused + len(selection.missing)
 
@@ -156,12 +159,12 @@ def _skip_finished(tasks: list[Task], predictor: Predictor) -> tuple[list[Path],
     from mapreplay.recorders.resume import resume
 
     resumption = resume(tasks, predictor)
-    note(f"{len(resumption.finished)} of {len(tasks)} episodes are finished already")
+    note(f"{len(resumption.finished)} of {len(tasks)} episodes are already finished")
     return resumption.finished, resumption.tasks
 
 
-def _go_on(folder: Path) -> str:
-    return f"to go on, repeat the command with {shell_command(['--resume', '--out', folder])}"
+def _how_to_resume(folder: Path) -> str:
+    return f"to resume, repeat the command with {shell_command(['--resume', '--out', folder])}"
 
 
 def _record(tasks: list[Task], jobs: int) -> list[Path]:

@@ -1,4 +1,4 @@
-"""Standard streams as they are found: closed, full, read by nobody, or of another encoding."""
+"""Standard streams in any state: closed, full, without a reader, or with a limited encoding."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
 _PLAIN: Final = "mapreplay.plain"
-"""What is done about characters that an encoding does not have, by name; see `codecs`."""
+"""Name of the error handler for characters that an encoding lacks; see `codecs`."""
 _PLAINER: Final = {"─": "-", "…": "...", "→": "->", "≤": "<=", "≥": ">="}
 STDIN: Final = 0
 STDOUT: Final = 1
@@ -26,12 +26,12 @@ STDERR: Final = 2
 
 @contextmanager
 def standard_streams() -> Iterator[None]:
-    """Within the block, ``sys.stdout`` and ``sys.stderr`` fail in no other way than these.
+    """Make ``sys.stdout`` and ``sys.stderr`` fail only in well-defined ways within the block.
 
-    What the encoding does not have is written in a plainer way, or as an escape. Where stdout
-    cannot be written, the first attempt raises a WriteError, or BrokenPipeError if its reader has
-    gone, and all that follows is dropped, so that there is no second complaint at the end. What
-    cannot be written to stderr is dropped: there is nobody left to be told.
+    Characters that the encoding lacks are replaced by plainer ones, or escaped. If stdout cannot
+    be written, the first attempt raises a WriteError, or a BrokenPipeError if its reader is gone,
+    and everything after that is dropped, so that there is no second error at exit. Output that
+    cannot be written to stderr is dropped.
     """
     _open_closed()
     found = sys.stdout, sys.stderr
@@ -41,15 +41,15 @@ def standard_streams() -> Iterator[None]:
         yield
     finally:
         for stream in (sys.stdout, sys.stderr):
-            with suppress(WriteError, BrokenPipeError):  # it was told, or something worse was
+            with suppress(WriteError, BrokenPipeError):  # was reported before
                 stream.flush()
         sys.stdout, sys.stderr = found
 
 
 def _open_closed() -> None:
-    """Open the standard streams that are closed, lest the next file that is opened becomes one.
+    """Open the standard streams that are closed, so that no other file takes their descriptor.
 
-    What is written to stdout then fails, because that one is opened to be read only.
+    Stdout is opened read-only, so that writing to it fails.
     """
     for descriptor, mode in ((STDIN, os.O_RDONLY), (STDOUT, os.O_RDONLY), (STDERR, os.O_WRONLY)):
         try:
@@ -81,7 +81,7 @@ class _Stdout(io.FileIO):
 
 
 class _Stderr(io.FileIO):
-    """Bytes to stderr, as far as there is one."""
+    """Bytes to stderr; dropped if it cannot be written."""
 
     def write(self, data: ReadableBuffer, /) -> int:
         try:
@@ -102,7 +102,7 @@ codecs.register_error(_PLAIN, _plainer)
 
 
 def _text(raw: io.FileIO, found: TextIO | None) -> io.TextIOWrapper:
-    """`raw` for text, in the encoding of what was `found` in its place."""
+    """A text stream on `raw`, with the encoding of the stream `found` in its place."""
     return io.TextIOWrapper(
         io.BufferedWriter(raw),
         encoding=getattr(found, "encoding", None) or "utf-8",

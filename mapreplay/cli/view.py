@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class ThemeName(StrEnum):
-    """What is around the maps of a picture."""
+    """Background of a picture."""
 
     LIGHT = "light"
     DARK = "dark"
@@ -32,13 +32,13 @@ def view(
     logs: Annotated[
         list[Path],
         typer.Argument(
-            help="A log, or several: the maps of two above each other, the curves of all.",
+            help="One or more logs: shows the maps of two and the curves of all.",
             show_default=False,
         ),
     ],
     maps: Annotated[
         str | None,
-        typer.Option(help="Of several: whose maps, by letter, such as A,C (default A,B)."),
+        typer.Option(help="Logs whose maps are shown, by letter, such as A,C (default: A,B)."),
     ] = None,
     step: Annotated[
         int | None, typer.Option(help="Start at this step; -1 is the last.", show_default=False)
@@ -46,34 +46,34 @@ def view(
     diagnose: Annotated[
         bool,
         typer.Option(
-            "--diagnose", help="Mark what sealed the agent in; start where that happened."
+            "--diagnose", help="Mark the cells that sealed the agent in, and start at that step."
         ),
     ] = False,
-    save: Annotated[
-        Path | None, typer.Option(help="Write a .rrd that opens with this layout.")
-    ] = None,
-    web: Annotated[bool, typer.Option("--web", help="Show in a browser, on this machine.")] = False,
+    save: Annotated[Path | None, typer.Option(help="Write a .rrd file with this layout.")] = None,
+    web: Annotated[bool, typer.Option("--web", help="Show in a browser on this machine.")] = False,
     png: Annotated[
-        Path | None, typer.Option(help="Draw --step (default: the last) as PNG; needs no viewer.")
+        Path | None, typer.Option(help="Draw --step (default: the last) as PNG, without a viewer.")
     ] = None,
     gif: Annotated[Path | None, typer.Option(help="Draw all steps as GIF.")] = None,
     mp4: Annotated[Path | None, typer.Option(help="Draw all steps as MP4.")] = None,
-    every: Annotated[int, typer.Option(min=1, help="Of a film: every so many-th step.")] = 1,
-    size: Annotated[str, typer.Option(help="Of a picture or film, in pixels.")] = "1280x720",
-    theme: Annotated[ThemeName, typer.Option(help="Of a picture or film.")] = ThemeName.LIGHT,
+    every: Annotated[int, typer.Option(min=1, help="Draw every Nth step of a GIF or MP4.")] = 1,
+    size: Annotated[str, typer.Option(help="Size of the picture or film in pixels.")] = "1280x720",
+    theme: Annotated[
+        ThemeName, typer.Option(help="Theme of the picture or film.")
+    ] = ThemeName.LIGHT,
     force: ForceOption = False,
 ) -> None:
     """Replay episodes in Rerun, or draw them as PNG, GIF or MP4.
 
-    Observed, predicted, fused and error maps side by side, with rays, trail, frontier, target
-    and curves on one timeline.
+    Shows the observed, predicted, fused and error maps side by side, with rays, trail, frontier,
+    target and curves on one timeline.
     """
     targets = {"--save": save, "--web": web or None, "--png": png, "--gif": gif, "--mp4": mp4}
     asked = [name for name, target in targets.items() if target is not None]
     if len(asked) > 1:
         raise UsageError(f"view: choose one of {', '.join(asked)}")
     if step is not None and asked and asked != ["--png"]:
-        raise UsageError(f"view: --step is for the window and --png, not for {asked[0]}")
+        raise UsageError(f"view: --step applies to the window and --png, not to {asked[0]}")
     opened, unreadable = _open(logs)
     chosen = _chosen(maps, len(opened))
     at = None if step is None else _step(step, [opened[number] for number in chosen])
@@ -150,7 +150,7 @@ def _diagnosed(logs: list[EpisodeLog], chosen: list[int]) -> tuple[list[list[Mar
     found = [diagnose(logs[number]) for number in chosen]
     for number, diagnosis in zip(chosen, found, strict=True):
         if not diagnosis.sealings:
-            note(f"{logs[number].path}: never sealed in, nothing to mark")
+            note(f"{logs[number].path}: never sealed in, so that there is nothing to mark")
     steps = [sealing.first_step for diagnosis in found for sealing in diagnosis.sealings]
     return [marks_of(diagnosis) for diagnosis in found], min(steps, default=None)
 

@@ -38,13 +38,17 @@ FINE: Final = 99
 
 def whatif(
     log: LogArgument,
-    delta_free: Annotated[str, typer.Option(help="A threshold, or FIRST:LAST[:COUNT].")] = ".5:.99",
-    delta_occupied: Annotated[
-        str, typer.Option(help="A threshold, or FIRST:LAST[:COUNT].")
+    delta_free: Annotated[
+        str, typer.Option(help="Confidence threshold, or FIRST:LAST[:COUNT].")
     ] = ".5:.99",
-    step: Annotated[int, typer.Option(help="Step of the scores; -1 is the last.")] = -1,
+    delta_occupied: Annotated[
+        str, typer.Option(help="Confidence threshold, or FIRST:LAST[:COUNT].")
+    ] = ".5:.99",
+    step: Annotated[
+        int, typer.Option(help="Step at which scores are reported; -1 is the last.")
+    ] = -1,
     plot: Annotated[
-        Path | None, typer.Option(help="Draw a heat map into this .png or .svg.")
+        Path | None, typer.Option(help="Draw a heat map to this .png or .svg file.")
     ] = None,
     form: FormatOption = Format.TABLE,
     output: OutputOption = None,
@@ -52,9 +56,9 @@ def whatif(
 ) -> None:
     """Try other thresholds on a log, open loop.
 
-    Fuses its predictions again: F1 and coverage for every pair of thresholds, when the agent
-    would have been sealed in, and when freed. The trajectory stays as it was: `branch` runs
-    the episode on.
+    Fuses the logged predictions again, and reports F1 and coverage for every pair of thresholds,
+    and when the agent would have been sealed in and freed. The trajectory stays as logged; use
+    `branch` to resume the episode instead.
     """
     check_outputs(output, plot, force=force)
     from mapreplay.analysis.whatif.grid import what_if, what_if_frame
@@ -83,7 +87,7 @@ def whatif(
 
 
 def _values(option: str, text: str) -> list[float]:
-    """The thresholds that an option stands for."""
+    """The thresholds of an option."""
     import numpy as np
 
     first, *rest = text.split(":")
@@ -96,13 +100,13 @@ def _values(option: str, text: str) -> list[float]:
     except ValueError:
         raise UsageError(
             f"{option} {text}: expected a threshold, or FIRST:LAST[:COUNT] with 0 < FIRST <= LAST "
-            f"<= 1 and at most {MAX_COUNT} of them, such as .5:.99:20"
+            f"<= 1 and COUNT at most {MAX_COUNT}, such as .5:.99:20"
         ) from None
     return sorted(set(np.linspace(low, high, count).round(6).tolist()))
 
 
 def _story(log: EpisodeLog, step: int) -> list[str | Command | pl.DataFrame]:
-    """What the logged thresholds meant, and which would have left a frontier."""
+    """The effect of the logged thresholds, and which others would have kept the agent free."""
     from mapreplay.analysis.whatif.grid import sufficient_thresholds, what_if
 
     config = log.header.at(step).config
@@ -117,7 +121,7 @@ def _story(log: EpisodeLog, step: int) -> list[str | Command | pl.DataFrame]:
         ),
     ]
     if course.sealed is None:
-        return [*lines, "With these the agent is never sealed in."]
+        return [*lines, "The agent is never sealed in with these thresholds."]
     until = "" if course.freed is None else f", freed at step {course.freed}"
     lines.append(f"It is sealed in at step {course.sealed}{until}.")
     found = sufficient_thresholds(log, course.sealed, [k / (FINE + 1) for k in range(1, FINE + 2)])
@@ -129,14 +133,16 @@ def _story(log: EpisodeLog, step: int) -> list[str | Command | pl.DataFrame]:
         if value is not None
     ]  # fmt: skip
     if not ways:
-        return [*lines, "No other value of one threshold would have left a frontier there."]
-    lines.append(f"A {' or a '.join(ways)}, the other as logged, would have left a frontier there.")
+        return [*lines, "Changing a single threshold would not have kept a way open there."]
+    lines.append(
+        f"A {' or a '.join(ways)} (the other one unchanged) would have kept a way open there."
+    )
     name, value = (
         ("delta-occupied", found.delta_occupied)
         if found.delta_occupied is not None
         else ("delta-free", found.delta_free)
     )
-    lines.append("To continue the episode with that, closed loop:")
+    lines.append("Resume the episode with it, closed loop:")
     lines.append(
         Command(["mapreplay", "branch", log.path, "--at", str(course.sealed),
                  "--with", f"{name}={value}"])

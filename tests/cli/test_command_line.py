@@ -106,8 +106,8 @@ TRAIN = "train --floorplans procedural:0 --validate procedural:1 --out x.safeten
         (f"{TRAIN} --loss-region some", 2, "some: choose all or explorable or nearby"),
         (f"{TRAIN} --architecture mlp", 2, "--architecture mlp: choose autoencoder or unet"),
         (f"{TRAIN} --from-logs nowhere", 1, "nowhere"),
-        ("train --validate procedural:1 --out x.safetensors", 2, "--floorplans SPEC or --from-l"),
-        ("train --from-logs a --hold-out 1 --out x.safetensors", 2, "give --validate SPEC"),
+        ("train --validate procedural:1 --out x.safetensors", 2, "use --floorplans SPEC or --from"),
+        ("train --from-logs a --hold-out 1 --out x.safetensors", 2, "use --validate SPEC"),
         (f"{TRAIN} --init no.safetensors", 1, "no.safetensors: cannot be read"),
         ("metrics nowhere.mcap --region some", 2, "should be explorable or all"),
     ],
@@ -355,7 +355,7 @@ def test_train_from_logs_makes_weights_that_run_can_use(cli: Run, tmp_path: Path
                  "--samples", "40", "--batch", "8", "--augment", "--jobs", "2",
                  "--out", out)  # fmt: skip
     assert result.code == 0, result.err
-    assert "logs to validate on, because their floor plans are held out: 1" in result.err
+    assert "logs of held-out floor plans, used for validation: 1" in result.err
     card = json.loads(out.with_suffix(".json").read_text())
     assert card["trained_on"] == "procedural:5-9, logs logs"
     assert card["plans"] == 5 + 2

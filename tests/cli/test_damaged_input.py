@@ -216,7 +216,7 @@ def test_any_damage_to_the_cache_changes_nothing(
     honest = cli(*command)
     (kept,) = (path for path in tmp_path.rglob("*") if path.is_file())
     whole, draw = kept.read_bytes(), random.Random(1)
-    assert "measured before" in cli(*command).err
+    assert "taken from the cache" in cli(*command).err
     for _ in range(8):
         kept.write_bytes(damaged(whole, draw))
         result = cli(*command)
@@ -251,7 +251,7 @@ def test_metrics_with_a_full_disk(
     monkeypatch.setattr(Cache, "put", full)
     result = cli("metrics", originals[1])
     assert (result.code, result.out) == (0, honest.out)
-    assert result.err.count("cannot be written; 1 results are not kept") == 1
+    assert result.err.count("cannot be written; 1 results are not cached") == 1
 
 
 def test_copies_are_named(cli: Run, originals: list[Path], tmp_path: Path) -> None:
@@ -263,7 +263,7 @@ def test_copies_are_named(cli: Run, originals: list[Path], tmp_path: Path) -> No
             line = f"{tmp_path}/{name}.mcap: the same file as {tmp_path}/a.mcap"
             assert line in result.err.splitlines()
         assert result.code == 0
-    assert "3 of 3 episodes were measured before" in result.err
+    assert "3 of 3 episodes were unchanged and taken from the cache" in result.err
 
 
 class Panic(BaseException):

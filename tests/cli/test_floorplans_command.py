@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from commands import Run
-from mapreplay.cli.training_data import load
+from mapreplay.cli.training_environment import environment
 from mapreplay.floorplans import open_source
+from mapreplay.training.job import load
 
 QUICK = ("--planner", "nearest", "--predictor", "none", "--plan-on", "observed", "--build",
          "observed", "--max-steps", 3)  # fmt: skip
@@ -133,7 +134,7 @@ def test_training_sums_up_what_is_odd_about_its_plans(
 ) -> None:
     for name in "abcdefg":
         write_image(tmp_path / f"{name}.png", outside=255)
-    load("training", open_source(str(tmp_path)), list("abcdef"), jobs=1)
+    load("training", open_source(str(tmp_path)), list("abcdef"), 1, environment())
     assert "6 of 6 floor plans may not be what is meant: start outside (6, such as" in (
         capsys.readouterr().err
     )

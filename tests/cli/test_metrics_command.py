@@ -55,7 +55,7 @@ def test_what_was_measured_before_is_not_measured_again(cli: Run, logs: Path) ->
     first = cli("metrics", logs, "--per", "episode", "--format", "csv")
     again = cli("metrics", logs, "--per", "episode", "--format", "csv")
     assert again.out == first.out
-    assert "3 of 3 episodes were measured before, and are unchanged" in again.err
+    assert "3 of 3 episodes were unchanged and taken from the cache" in again.err
     fresh = cli("metrics", logs, "--per", "episode", "--format", "csv", "--no-cache")
     assert fresh.out == first.out
     assert "before" not in fresh.err
@@ -98,4 +98,4 @@ def test_conditions_choose_episodes(cli: Run, logs: Path) -> None:
     assert result.out.count("\n") == 2
     none = cli("metrics", logs, "--where", "outcome=sealed_in")
     assert none.code == 0
-    assert "none of 3 episodes is like that" in none.err
+    assert "none of 3 episodes matches --where" in none.err

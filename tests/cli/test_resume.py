@@ -44,7 +44,7 @@ def test_a_run_is_finished_and_what_was_finished_is_not_touched(
     before = (tmp_path / first).stat()
     result = cli(*COMMAND, "--out", tmp_path, "--resume")
     assert result.code == 0, result.err
-    assert "1 of 3 episodes are finished already" in result.err
+    assert "1 of 3 episodes are already finished" in result.err
     assert result.out.count("procedural-") == 3
     assert content(tmp_path) == undisturbed
     assert (tmp_path / first).stat().st_mtime_ns == before.st_mtime_ns
@@ -102,7 +102,7 @@ def test_a_log_that_is_cut_or_damaged_is_refused(
 def test_it_needs_the_folder(cli: Run) -> None:
     result = cli(*COMMAND, "--resume")
     assert result.code == 2
-    assert "--resume: name the folder of the stopped run with --out" in result.err
+    assert "--resume: give the folder of the stopped run with --out" in result.err
 
 
 def test_after_a_worker_was_killed_the_run_says_how_to_go_on_and_can(
@@ -126,13 +126,13 @@ def test_after_a_worker_was_killed_the_run_says_how_to_go_on_and_can(
     assert process.returncode == 1
     assert "its worker process died (killed by SIGKILL)" in err
     assert (
-        f"1 of 6 episodes failed; to go on, repeat the command with --resume --out {tmp_path}"
+        f"1 of 6 episodes failed; to resume, repeat the command with --resume --out {tmp_path}"
         in err
     )
     assert len(list(tmp_path.glob("*.mcap"))) == 5
     result = cli(*command, "--resume")
     assert result.code == 0, result.err
-    assert "5 of 6 episodes are finished already" in result.err
+    assert "5 of 6 episodes are already finished" in result.err
     assert len(content(tmp_path)) == len(list(tmp_path.glob("*.mcap"))) == 6
 
 

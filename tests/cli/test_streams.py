@@ -91,7 +91,7 @@ def test_after_an_error_of_stdout_nothing_more_is_tried() -> None:
 @pytest.mark.parametrize(
     ("error", "said"),
     [
-        (MemoryError(), "mapreplay: out of memory; give it more, or less to do at a time\n"),
+        (MemoryError(), "mapreplay: out of memory; free memory, or process less at a time\n"),
         (OSError(errno.EMFILE, "Too many open files", "a.mcap"), "mapreplay: a.mcap: Too many op"),
         (RecursionError("maximum depth"), "mapreplay: internal error, RecursionError: maximum"),
         (KeyError("a\nb"), "mapreplay: internal error, KeyError: 'a\\nb'; please report it"),
@@ -126,4 +126,4 @@ def test_a_folder_that_is_gone_is_named(
     monkeypatch.delenv(DEBUG)
     result = cli("ls")
     assert result.code == 1
-    assert "the folder that this was started in is no longer there" in result.err
+    assert "the current folder no longer exists" in result.err

@@ -59,7 +59,7 @@ def test_a_training_that_was_terminated_says_how_to_go_on_and_goes_on_with_the_s
     assert "samples  train" in said
     if process.returncode != 0:  # 0: it was done before
         assert process.returncode == 130
-        told = f"stopped; to go on, repeat the command with --resume ({checkpoint})"
+        told = f"stopped; to resume, repeat the command with --resume ({checkpoint})"
         assert err.splitlines()[-2:] == [told, "mapreplay: interrupted"]
         assert not out.exists()
         others = [word if word != "procedural:0-5" else "procedural:10-15" for word in command]
@@ -72,6 +72,6 @@ def test_a_training_that_was_terminated_says_how_to_go_on_and_goes_on_with_the_s
             assert told in result.err
         result = cli(*command, "--resume")
         assert result.code == 0, result.err
-        assert "goes on after" in result.err
+        assert "resumed after" in result.err
     assert json.loads((tmp_path / "t.json").read_text())["samples"] >= 120
     assert not checkpoint.exists()

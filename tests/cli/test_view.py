@@ -74,7 +74,7 @@ def test_it_draws_films(cli: Run, three: list[Path], tmp_path: Path) -> None:
     ("options", "line"),
     [
         ("--save x.rrd --web", "view: choose one of --save, --web"),
-        ("--save x.rrd --step 3", "view: --step is for the window and --png, not for --save"),
+        ("--save x.rrd --step 3", "view: --step applies to the window and --png, not to --save"),
         ("--png x.png --step 31", "--step 31: {log} has steps 0 to 30"),
         ("--png x.png --step -32", "--step -32: {log} has steps 0 to 30"),
         ("--png x.png --size big", "--size big: should be WIDTHxHEIGHT, such as 1920x1080"),

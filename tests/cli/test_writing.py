@@ -120,7 +120,7 @@ def test_one_name_for_two_results_is_refused(cli: Run, tmp_path: Path) -> None:
     path = tmp_path / "a.html"
     result = cli("diagnose", LOG, "--html", path, "-o", path, "--format", "json")
     assert result.code == 2
-    assert "is to be written twice" in result.err
+    assert "given twice as an output" in result.err
 
 
 @pytest.mark.parametrize("option", ["-o", "--out", "--output"])
