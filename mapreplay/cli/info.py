@@ -69,7 +69,7 @@ def info(
     ]  # fmt: skip
     facts += [
         ("event", f"{step.index} {event.kind}", event.text)
-        for step in opened.steps()
+        for step in (opened.steps() if opened.has_steps else ())
         for event in step.events
     ]
     frame = pl.DataFrame(
