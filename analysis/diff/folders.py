@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
+from itertools import zip_longest
 from pathlib import Path, PurePath
-from typing import Final
+from typing import Final, NamedTuple
 
 import polars as pl
 
-from mapreplay.analysis.diff.divergence import Layer, find_partings
+from mapreplay.analysis.diff.divergence import Layer, find_partings, header_differences
 from mapreplay.analysis.episodes.corpus import LoggedEpisode
 from mapreplay.analysis.pool import WorkerError, map_unordered
 from mapreplay.errors import MapreplayError
 from mapreplay.recorders.log.blame import UnforeseenError, blaming
+from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.text import printable
 
 
@@ -61,19 +63,18 @@ def _diff(pair: tuple[LoggedEpisode, LoggedEpisode]) -> PairDiff | MapreplayErro
     a, b = pair
     try:
         with blaming(a.path, b.path):
-            partings = find_partings(a.log, b.log)
+            found = _found(a.log, b.log)
     except MapreplayError as error:
         return error
-    first, move = partings.layer, partings.first.get(Layer.MOVE)
     budget = min((e.header.budget for e in pair if e.header.budget is not None), default=None)
-    time_a, time_b = (_within(e.row.mapping_time, budget) for e in pair)
+    time_a, time_b = (_within(e, budget) for e in pair)
     return PairDiff(
         floor_plan=a.row.floor_plan,
         seed=a.row.seed,
-        identical=partings.identical,
-        step=partings.first[first].index if first else None,
-        layer=first.value if first else None,
-        move_step=move.index if move else None,
+        identical=found.identical,
+        step=found.step,
+        layer=found.layer,
+        move_step=found.move_step,
         outcome_a=a.row.outcome,
         outcome_b=b.row.outcome,
         time_a=time_a,
@@ -86,9 +87,41 @@ def _diff(pair: tuple[LoggedEpisode, LoggedEpisode]) -> PairDiff | MapreplayErro
     )
 
 
-def _within(time: int | None, budget: int | None) -> int | None:
-    """A mapping time under a budget, all of which it takes if the target was not reached."""
-    return min((number for number in (time, budget) if number is not None), default=None)
+class _Found(NamedTuple):
+    identical: bool
+    step: int | None
+    layer: str | None
+    move_step: int | None
+
+
+def _found(a: EpisodeLog, b: EpisodeLog) -> _Found:
+    """Where two episodes diverge; if a log has no steps, by their scalars."""
+    if a.has_steps and b.has_steps:
+        partings = find_partings(a, b)
+        first, move = partings.layer, partings.first.get(Layer.MOVE)
+        return _Found(
+            partings.identical,
+            partings.first[first].index if first else None,
+            first.value if first else None,
+            move.index if move else None,
+        )
+    rows = list(zip_longest(a.table().iter_rows(), b.table().iter_rows()))
+    step = next((k for k, (one, other) in enumerate(rows) if one != other), None)
+    both = [(one[1:3], other[1:3]) for one, other in rows if one and other]  # where they are
+    apart = next((k for k, (one, other) in enumerate(both) if one != other), 0)
+    same = step is None and not header_differences(a.header, b.header)
+    return _Found(same, step, None if step is None else "scalars", apart - 1 if apart else None)
+
+
+def _within(episode: LoggedEpisode, budget: int | None) -> int | None:
+    """Mapping time under a budget, all of which it takes if the target was not reached.
+
+    None where it is undefined: without a true map, or not reached without a budget.
+    """
+    if not episode.header.floor_plan.has_truth:
+        return None
+    numbers = (episode.row.mapping_time, budget)
+    return min((number for number in numbers if number is not None), default=None)
 
 
 _DTYPES: Final = {

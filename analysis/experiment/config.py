@@ -44,8 +44,8 @@ class _Table(BaseModel):
 class Dataset(_Table):
     """Floor plans, and the predictor that was trained on their like."""
 
-    name: Annotated[str, Field(pattern=r"^[^/\\\x00-\x1f]{1,64}$")]
-    """Files are called after it."""
+    name: Annotated[str, Field(pattern=r"^[^./\\\x00-\x1f][^/\\\x00-\x1f]{0,63}$")]
+    """Files and folders are called after it."""
     floorplans: str
     """See `mapreplay.floorplans.open_source`; the command line can name another place."""
     predictor: str

@@ -15,14 +15,11 @@ from matplotlib.lines import Line2D
 from mapreplay.analysis.experiment.controls import CONTROLS
 from mapreplay.analysis.experiment.curve import OBSERVATIONS, CurveData
 from mapreplay.analysis.experiment.example import Example
-from mapreplay.analysis.experiment.rows import Row
 from mapreplay.analysis.experiment.table import (
     PAPER,
     PLANNERS,
     Arm,
-    Summary,
-    plan_reductions,
-    reading_order,
+    ArmResult,
 )
 from mapreplay.analysis.metrics.calibration import (
     PredictionCounts,
@@ -75,22 +72,19 @@ def save(figure: Figure, path: Path) -> Path:
     return path
 
 
-def performance_figure(rows: Sequence[Row], summaries: Sequence[Summary]) -> Figure:
+def performance_figure(summaries: Sequence[ArmResult]) -> Figure:
     """Reduction of mapping time by dataset, planner and configuration: bars are means with 95 %
     intervals over floor plans, dots are floor plans. Controls are left to the table.
-
-    `summaries` are those of `rows`.
     """
-    by_arm = {summary.arm: summary for summary in summaries}
-    shown = [row for row in rows if row.predictor not in CONTROLS]
-    datasets = sorted({row.dataset for row in shown})
+    shown = {s.arm: s for s in summaries if s.arm.predictor not in CONTROLS}
+    datasets = sorted({arm.dataset for arm in shown})
     figure = Figure(figsize=(1 + 4.6 * len(datasets), 4.6), layout="constrained")
     panels = figure.subplots(1, len(datasets), sharey=True, squeeze=False)[0]
     for axes, dataset in zip(panels, datasets, strict=True):
-        _performance_panel(axes, [row for row in shown if row.dataset == dataset], by_arm)
+        _performance_panel(axes, {arm: s for arm, s in shown.items() if arm.dataset == dataset})
         axes.set_title(dataset)
     panels[0].set_ylabel("reduction of mapping time\nagainst observed/observed Nearest Frontier")
-    used = {(arm.maps, arm.fail_safe) for arm in map(Arm.of, shown) if not arm.is_reference}
+    used = {(arm.maps, arm.fail_safe) for arm in shown if not arm.is_reference}
     marks = [
         Line2D([], [], color=_hex(colour), marker="s", linestyle="", label=label)
         for key, (label, colour) in _MAPS.items()
@@ -108,21 +102,16 @@ def performance_figure(rows: Sequence[Row], summaries: Sequence[Summary]) -> Fig
     return figure
 
 
-def _performance_panel(axes: Axes, rows: Sequence[Row], summaries: Mapping[Arm, Summary]) -> None:
-    arms: dict[Arm, list[Row]] = {}
-    for row in rows:
-        arms.setdefault(Arm.of(row), []).append(row)
-    reference = [row for arm in arms if arm.is_reference for row in arms[arm]]
-    planners = [p for p in PLANNERS if any(arm.planner == p for arm in arms)]
+def _performance_panel(axes: Axes, summaries: Mapping[Arm, ArmResult]) -> None:
+    planners = [p for p in PLANNERS if any(arm.planner == p for arm in summaries)]
     chance = np.random.default_rng(0)
     for place, planner in enumerate(planners):
-        group = [a for a in sorted(arms, key=reading_order) if a.planner == planner]
-        group = [a for a in group if not a.is_reference]
+        group = [a for a in summaries if a.planner == planner and not a.is_reference]
         width = 0.86 / max(len(group), 1)
         for number, arm in enumerate(group):
             x = place - 0.43 + (number + 0.5) * width
             colour = _hex(_MAPS.get((arm.maps, arm.fail_safe), ("", PURPLE))[1])
-            effects = np.array(list(plan_reductions(arms[arm], reference).values()))
+            effects = np.array(summaries[arm].reductions)
             dots = np.maximum(effects, _FLOOR)
             spread = chance.uniform(-0.3, 0.3, dots.size) * width
             axes.scatter(x + spread, dots, s=5, color=colour, alpha=0.35, linewidths=0, zorder=2)

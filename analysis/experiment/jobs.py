@@ -1,35 +1,37 @@
 """The episodes of an experiment, and how one is run.
 
 fused/fused is simulated with fail-safe only: what happens without it is the same up to the first
-step at which the agent is sealed in, and ends there. So one job gives both rows.
+step at which the agent is sealed in, and ends there. So one job gives both logs.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
-import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from contextlib import ExitStack
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TypeAlias
+from typing import Final
 
 from mapreplay.analysis.experiment.config import Dataset, ExperimentConfig
 from mapreplay.analysis.experiment.controls import CONTROLS
 from mapreplay.analysis.experiment.infill import PREFIX as INFILL
 from mapreplay.analysis.experiment.infill import InFill
-from mapreplay.analysis.experiment.rows import Row
+from mapreplay.analysis.experiment.without import WithoutFailSafe, without_fail_safe
 from mapreplay.config import EpisodeConfig, MapKind
-from mapreplay.episode import Episode, prepare_episode, run_episode, versions
-from mapreplay.errors import MapreplayError
+from mapreplay.episode import Episode, StepSink, prepare_episode, record
+from mapreplay.errors import LogError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.predictors import Predictor, kept_predictor
+from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.scalars import ScalarsWriter
+from mapreplay.recorders.log.writer import EpisodeWriter
+from mapreplay.recorders.resume import header_differences
 from mapreplay.source_digest import source_digest
-from mapreplay.step import Mode, Outcome, Step
+from mapreplay.step import EpisodeHeader
 
-Identity: TypeAlias = tuple[str | bool | int, ...]
-"""What a row is of: no two rows of an experiment are of the same."""
+LOGS: Final = "logs"
+"""The folder of the logs, in that of the results."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +46,11 @@ class Job:
     weights: Path | None = None
     """The file of the predictor's weights, where the configuration names one."""
 
+    @property
+    def name(self) -> str:
+        """What it is called in a line."""
+        return f"{self.config.planner} on {self.floor_plan.id}, seed {self.config.seed}"
+
     def predictor(self) -> Predictor:
         """The predictor of this job: a control, an oracle, or the registered one of that name."""
         name = self.config.predictor
@@ -56,37 +63,63 @@ class Job:
             return InFill(self.floor_plan, radius, self.wall_share)
         return kept_predictor(name)
 
-    def digest(self, weights: str) -> str:
-        """Of all that its rows depend on: also of the predictor's weights (their SHA-256) and of
-        the code that there is now.
-        """
-        about = [
-            self.config.model_dump_json(), self.floor_plan.sha256, self.wall_share, weights,
-            code_digest(), versions(),
-        ]  # fmt: skip
-        return hashlib.sha256(json.dumps(about).encode()).hexdigest()[:16]
+    def prepare(self) -> Episode:
+        """The episode, ready to run."""
+        return prepare_episode(self.config, self.floor_plan, predictor=self.predictor())
 
-    def identities(self) -> list[Identity]:
-        """Those of the rows that this job gives, with the weights that there are now."""
-        config, sha256 = self.config, self.predictor().identity.sha256
-        return [
-            (
-                self.dataset, self.floor_plan.id, config.planner, config.plan_on.value,
-                config.build.value, fail_safe, config.seed, config.predictor, sha256,
+
+@dataclass(frozen=True)
+class Shelf:
+    """Where the logs of an experiment lie, and what is kept of an episode."""
+
+    folder: Path
+    """Of the results."""
+    whole: bool = False
+    """Whole logs, and not only scalars."""
+
+    def path(self, dataset: str, header: EpisodeHeader) -> Path:
+        """``logs/<dataset>/<planner>__<plan-on>-<build>__<predictor>[+fail-safe]/<log>``: a folder
+        per arm, so that `mapreplay diff` pairs two of them.
+        """
+        c = header.config
+        arm = f"{c.planner}__{c.plan_on}-{c.build}__{header.predictor.name}"
+        arm += "+fail-safe" if c.fail_safe else ""
+        return self.folder / LOGS / dataset / arm / header.file_name
+
+    def has(self, job: Job) -> bool:
+        """Whether the logs of a job are there, finished, and whole if they should be.
+
+        Raises:
+            LogError: one is of another episode, such as one with other weights, or damaged:
+                nothing is mixed.
+        """
+        return all(
+            self._has(self.path(job.dataset, header), header)
+            for header in headers_of(job.prepare())
+        )
+
+    def _has(self, path: Path, header: EpisodeHeader) -> bool:
+        if not path.exists():
+            return False
+        log = EpisodeLog(path)
+        others = header_differences(log.header, header)
+        if others:
+            raise LogError(
+                f"{path}: a log of another episode ({'; '.join(others)}); choose another --out"
             )
-            for fail_safe in ((True, False) if config.fail_safe else (False,))
-        ]  # fmt: skip
+        return log.finished and (log.has_steps or not self.whole)
+
+
+def headers_of(episode: Episode) -> list[EpisodeHeader]:
+    """Of the logs that an episode gives: one, or with fail-safe two: with it, and without."""
+    header = episode.header
+    return [header, without_fail_safe(header)] if header.config.fail_safe else [header]
 
 
 @cache
 def code_digest() -> str:
-    """Of our code that rows depend on."""
+    """Of our code that logs depend on."""
     return source_digest("mapreplay.analysis.experiment.jobs")
-
-
-def identity(row: Row) -> Identity:
-    """What a row is of."""
-    return row.key
 
 
 def jobs_of(config: ExperimentConfig, dataset: Dataset, plans: Sequence[FloorPlan]) -> list[Job]:
@@ -121,96 +154,19 @@ def _configurations(
                 yield config.episode(planner, other, maps, seed, fail_safe=True)
 
 
-def run_job(job: Job, predictor: Predictor) -> list[Row]:
-    """Simulate; one row, or with fail-safe two: with it, and without.
+def run_job(job: Job, shelf: Shelf) -> str:
+    """Simulate, and write the logs of a job; returns its name.
 
     Raises:
-        MapreplayError: the planner or predictor failed.
+        MapreplayError: the planner or predictor failed, or a log cannot be written.
     """
-    began = time.process_time()
-    episode = prepare_episode(job.config, job.floor_plan, predictor=predictor)
-    follow = _Follow(job, episode)
-    for step in run_episode(episode):
-        follow.add(step)
-    return follow.rows(time.process_time() - began)
-
-
-class _Follow:
-    """What is kept of the steps of an episode."""
-
-    def __init__(self, job: Job, episode: Episode) -> None:
-        self._job = job
-        self._header = episode.header
-        self._digest = job.digest(episode.header.predictor.sha256)
-        self._mapped: int | None = None
-        self._corrected: int | None = None
-        self._sealed: tuple[Step, int | None] | None = None
-        """The first step without a frontier, and the time of correct coverage until then."""
-        self._fail_safe_steps = 0
-        self._last: Step | None = None
-
-    def add(self, step: Step) -> None:
-        config, metrics = self._job.config, step.metrics
-        if self._mapped is None and metrics.coverage(config.build) >= config.coverage:
-            self._mapped = step.index
-        right = metrics.correct_coverage(config.build)
-        if self._corrected is None and right >= config.correct_coverage:
-            self._corrected = step.index
-        safe = step.mode is Mode.FAIL_SAFE
-        self._fail_safe_steps += safe
-        if self._sealed is None and (safe or step.outcome is Outcome.SEALED_IN):
-            self._sealed = step, self._corrected
-        self._last = step
-
-    def rows(self, seconds: float) -> list[Row]:
-        last = self._last
-        if last is None or last.outcome is None:
-            raise MapreplayError(f"{self._job.floor_plan.id}: the episode has no end")
-        row = self._row(last, last.outcome, self._mapped, self._corrected, seconds)
-        if not self._job.config.fail_safe:
-            return [row]
-        without = replace(row, fail_safe=False, fail_safe_steps=0)
-        if self._sealed is not None:
-            step, corrected = self._sealed
-            without = replace(
-                self._row(step, Outcome.SEALED_IN, None, corrected, seconds),
-                fail_safe=False,
-                fail_safe_steps=0,
-            )
-        return [row, without]
-
-    def _row(
-        self,
-        step: Step,
-        outcome: Outcome,
-        mapped: int | None,
-        corrected: int | None,
-        seconds: float,
-    ) -> Row:
-        config, metrics = self._job.config, step.metrics
-        return Row(
-            dataset=self._job.dataset,
-            floor_plan=self._job.floor_plan.id,
-            planner=config.planner,
-            plan_on=config.plan_on.value,
-            build=config.build.value,
-            fail_safe=config.fail_safe,
-            seed=config.seed,
-            predictor=config.predictor,
-            sha256=self._header.predictor.sha256,
-            outcome=outcome.value,
-            steps=step.index,
-            budget=self._header.max_steps,
-            mapping_time=mapped,
-            correct_time=corrected,
-            path_length=metrics.path_length,
-            f1=metrics.f1,
-            precision=metrics.precision,
-            recall=metrics.recall,
-            coverage=metrics.coverage(config.build),
-            correct=metrics.correct_coverage(config.build),
-            sealed_step=self._sealed[0].index if self._sealed else None,
-            fail_safe_steps=self._fail_safe_steps,
-            seconds=round(seconds, 4),
-            digest=self._digest,
-        )
+    episode = job.prepare()
+    writer_of = EpisodeWriter if shelf.whole else ScalarsWriter
+    with ExitStack() as stack:
+        sinks: list[StepSink] = []
+        for header in headers_of(episode):
+            path = shelf.path(job.dataset, header)
+            writer = stack.enter_context(writer_of(path, header, force=True))
+            sinks.append(writer if header is episode.header else WithoutFailSafe(header, writer))
+        record(episode, *sinks)
+    return job.name

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from mapreplay.analysis.experiment.curve import OBSERVATIONS, CurveData
 from mapreplay.analysis.experiment.sweep import Setting
-from mapreplay.analysis.experiment.table import PAPER, Summary
+from mapreplay.analysis.experiment.table import PAPER, ArmResult
 from mapreplay.analysis.metrics.calibration import calibration_scores, decided, score_interval
 from mapreplay.analysis.reporting.wording import (
     MULTIPLE,
@@ -62,7 +62,7 @@ def _interval(estimate: Estimate, factor: float, digits: int) -> str:
     return mean if math.isnan(estimate.low) else f"{mean} [{low}, {high}]"
 
 
-def performance(summaries: Sequence[Summary]) -> str:
+def performance(summaries: Sequence[ArmResult]) -> str:
     """What each arm was worth, a table a dataset."""
     parts = []
     for dataset in dict.fromkeys(s.arm.dataset for s in summaries):
@@ -89,7 +89,7 @@ def performance(summaries: Sequence[Summary]) -> str:
     return "\n\n".join(parts)
 
 
-def quality(summaries: Sequence[Summary]) -> str:
+def quality(summaries: Sequence[ArmResult]) -> str:
     """What the maps of each arm were like, a table a dataset."""
     parts = []
     for dataset in dict.fromkeys(s.arm.dataset for s in summaries):
@@ -116,7 +116,7 @@ def quality(summaries: Sequence[Summary]) -> str:
     return "\n\n".join(parts)
 
 
-def beside_the_paper(summaries: Sequence[Summary]) -> str:
+def beside_the_paper(summaries: Sequence[ArmResult]) -> str:
     """The paper's four numbers and ours."""
     rows = []
     for (dataset, planner), theirs in PAPER.items():
@@ -216,7 +216,7 @@ def sweep(settings: Sequence[Setting]) -> str:
     return table(head, rows)
 
 
-def infill(summaries: Sequence[Summary]) -> str:
+def infill(summaries: Sequence[ArmResult]) -> str:
     """What a predictor would be worth that knew everything near the observed."""
     rows = [
         [s.arm.dataset, s.arm.planner, s.arm.predictor, saved(s.reduction),
@@ -229,11 +229,11 @@ def infill(summaries: Sequence[Summary]) -> str:
     return table(head, rows)
 
 
-def _maps(summary: Summary) -> str:
+def _maps(summary: ArmResult) -> str:
     return summary.arm.maps + (", fail-safe" if summary.arm.fail_safe else "")
 
 
-def _sizes(summaries: Sequence[Summary]) -> str:
+def _sizes(summaries: Sequence[ArmResult]) -> str:
     plans = max(s.plans for s in summaries)
     return f"{plans} floor plans, {sum(s.runs for s in summaries):,} episodes"
 

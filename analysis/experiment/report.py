@@ -1,7 +1,7 @@
 """From the data of an experiment to its tables and figures, as often as one likes.
 
-A results folder holds the data: ``rows.jsonl`` (one episode a line), ``curve-<dataset>.npz``,
-``example.mcap``, and rows below ``sweep/``. What is made of it lies beside: ``results.json``,
+A results folder holds the data: ``logs/<dataset>/`` (a log per episode), ``curve-<dataset>.npz``,
+``example.mcap``, and logs below ``sweep/``. What is made of it lies next to them: ``results.json``,
 ``table.parquet``, ``results.md`` and ``figures/``. A page of documentation has its generated parts
 between ``<!-- begin EXPERIMENT/PART -->`` and ``<!-- end EXPERIMENT/PART -->``; what stands around
 them is written by hand and left alone. So a page can have parts of several experiments, and no
@@ -13,21 +13,28 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from matplotlib.figure import Figure
 
+from mapreplay.analysis.episodes.corpus import LoggedEpisode
 from mapreplay.analysis.experiment import figures, markdown
 from mapreplay.analysis.experiment.controls import CONTROLS
 from mapreplay.analysis.experiment.curve import OBSERVATIONS, CurveData, load_curve
 from mapreplay.analysis.experiment.example import EXAMPLE_FILE, Example, read_example
 from mapreplay.analysis.experiment.infill import PREFIX as INFILL_PREFIX
-from mapreplay.analysis.experiment.rows import ROWS_FILE, Row, RowFile
 from mapreplay.analysis.experiment.sweep import Setting, read_sweep
-from mapreplay.analysis.experiment.table import Arm, Summary, summarize, summary_frame
+from mapreplay.analysis.experiment.table import (
+    Arm,
+    ArmResult,
+    Episodes,
+    compare_arms,
+    read_episodes,
+    summary_frame,
+)
 from mapreplay.analysis.metrics.calibration import calibration_scores, decided, reliability
 from mapreplay.analysis.stats.estimates import mean_interval
 from mapreplay.errors import MapreplayError
@@ -48,12 +55,12 @@ PAGE: Final = "results.md"
 class Results:
     """All data of a results folder; what was not measured is empty."""
 
-    rows: tuple[Row, ...]
-    summaries: tuple[Summary, ...]
+    episodes: Episodes
+    summaries: tuple[ArmResult, ...]
     curves: tuple[CurveData, ...]
     example: Example | None
     sweep: tuple[Setting, ...]
-    infill: tuple[Summary, ...]
+    infill: tuple[ArmResult, ...]
 
 
 def read_results(folder: Path) -> Results:
@@ -62,26 +69,32 @@ def read_results(folder: Path) -> Results:
     Raises:
         MapreplayError: no episode was finished there, or a file is damaged.
     """
-    every, sweep = RowFile(folder / ROWS_FILE).read(), read_sweep(folder)
+    every, sweep = read_episodes(folder), read_sweep(folder)
     if not (every or sweep):
         raise MapreplayError(f"{folder}: holds no finished episode of an experiment")
     example = folder / EXAMPLE_FILE
-    every = sorted((row for row in every if not _said_twice(row)), key=lambda row: row.key)
-    oracle = [row for row in every if row.predictor.startswith(INFILL_PREFIX)]
-    rows = [row for row in every if not row.predictor.startswith(INFILL_PREFIX)]
-    baseline = [row for row in rows if Arm.of(row).is_reference]
+    main: dict[str, list[LoggedEpisode]] = {}
+    bounds: dict[str, list[LoggedEpisode]] = {}
+    for dataset, found in every.items():
+        kept = [episode for episode in found if not _said_twice(episode)]
+        oracle = [e for e in kept if e.row.predictor.startswith(INFILL_PREFIX)]
+        main[dataset] = [e for e in kept if not e.row.predictor.startswith(INFILL_PREFIX)]
+        if oracle:
+            baseline = [e for e in main[dataset] if Arm.of(dataset, e).is_reference]
+            bounds[dataset] = baseline + oracle
     return Results(
-        rows=tuple(rows),
-        summaries=tuple(summarize(rows)),
+        episodes=main,
+        summaries=tuple(compare_arms(main)),
         curves=tuple(load_curve(path) for path in sorted(folder.glob("curve-*.npz"))),
         example=read_example(example) if example.exists() else None,
         sweep=tuple(sweep),
-        infill=tuple(summarize(baseline + oracle)) if oracle else (),
+        infill=tuple(compare_arms(bounds)),
     )
 
 
-def _said_twice(row: Row) -> bool:
-    """Whether a control or oracle has another row, with fail-safe, that says it better."""
+def _said_twice(episode: LoggedEpisode) -> bool:
+    """Whether a control or oracle has another log, with fail-safe, that says it better."""
+    row = episode.row
     special = row.predictor in CONTROLS or row.predictor.startswith(INFILL_PREFIX)
     return special and not row.fail_safe
 
@@ -140,7 +153,7 @@ def blocks(results: Results) -> dict[str, str]:
         found["paper"] = markdown.beside_the_paper(results.summaries)
         found["performance"] = markdown.performance(results.summaries)
         found["quality"] = markdown.quality(results.summaries)
-        found["provenance"] = _provenance(results.rows)
+        found["provenance"] = _provenance(results.episodes)
     if results.curves:
         found["curve"] = markdown.curve(results.curves)
         found["calibration"] = markdown.calibration(results.curves)
@@ -157,7 +170,7 @@ def draw(results: Results) -> dict[str, Figure]:
     """The figures by name."""
     drawn: dict[str, Figure] = {}
     if results.summaries:
-        drawn["performance"] = figures.performance_figure(results.rows, results.summaries)
+        drawn["performance"] = figures.performance_figure(results.summaries)
     if results.curves:
         drawn["curve"] = figures.curve_figure(results.curves)
         drawn["calibration"] = figures.calibration_figure(results.curves)
@@ -243,11 +256,12 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
-def _provenance(rows: Sequence[Row]) -> str:
-    weights = sorted({(r.predictor, r.sha256) for r in rows if r.sha256})
-    hours = math.fsum(row.seconds for row in rows) / 3600
+def _provenance(episodes: Episodes) -> str:
+    every = [episode for found in episodes.values() for episode in found]
+    used = {episode.header.predictor for episode in every}
+    weights = sorted((predictor.name, predictor.sha256) for predictor in used if predictor.sha256)
     lines = [f"- `{name}`: weights with SHA-256 `{sha}`" for name, sha in weights]
-    lines.append(f"- {len(rows):,} episodes, {hours:.1f} hours of CPU time in all")
+    lines.append(f"- {len(every):,} episodes")
     return "\n".join(lines)
 
 

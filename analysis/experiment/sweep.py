@@ -1,7 +1,7 @@
 """Thresholds by trial and error, as the paper chose its own, in closed loop on validation plans.
 
-A sweep is the same experiment once for each pair of thresholds; the rows of each lie in a folder
-of its own, ``sweep/<delta free>-<delta occupied>/rows.jsonl``. Everything is run again for each:
+A sweep is the same experiment once for each pair of thresholds; the logs of each lie in a folder
+of its own, ``sweep/<delta free>-<delta occupied>/logs``. Everything is run again for each:
 what a threshold does to the way of an agent cannot be had from logs of another.
 """
 
@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from mapreplay.analysis.experiment.rows import ROWS_FILE, RowFile
-from mapreplay.analysis.experiment.table import Summary, summarize
+from mapreplay.analysis.experiment.jobs import LOGS
+from mapreplay.analysis.experiment.table import ArmResult, compare_arms, read_episodes
 from mapreplay.errors import MapreplayError
 
 SWEEP_FOLDER: Final = "sweep"
@@ -24,9 +24,9 @@ class Setting:
 
     delta_free: float
     delta_occupied: float
-    summaries: tuple[Summary, ...]
+    summaries: tuple[ArmResult, ...]
 
-    def fused(self, dataset: str, planner: str) -> Summary | None:
+    def fused(self, dataset: str, planner: str) -> ArmResult | None:
         """That of a planner on fused/fused with fail-safe, if it was run."""
         for summary in self.summaries:
             arm = summary.arm
@@ -38,7 +38,7 @@ class Setting:
 
 
 def setting_folder(folder: Path, delta_free: float, delta_occupied: float) -> Path:
-    """Where the rows of a pair of thresholds go."""
+    """Where the logs of a pair of thresholds go."""
     return folder / SWEEP_FOLDER / f"{delta_free:g}-{delta_occupied:g}"
 
 
@@ -46,14 +46,14 @@ def read_sweep(folder: Path) -> list[Setting]:
     """All pairs of thresholds that were tried, by delta free, then delta occupied.
 
     Raises:
-        MapreplayError: a folder is named otherwise, or its rows are damaged.
+        MapreplayError: a folder is named otherwise, or a log in it is damaged.
     """
     settings = []
-    for path in (folder / SWEEP_FOLDER).glob(f"*/{ROWS_FILE}"):
+    for path in (folder / SWEEP_FOLDER).glob(f"*/{LOGS}"):
         free, _, occupied = path.parent.name.partition("-")
         try:
             pair = float(free), float(occupied)
         except ValueError:
             raise MapreplayError(f"{path.parent}: not a pair of thresholds") from None
-        settings.append(Setting(*pair, tuple(summarize(RowFile(path).read()))))
+        settings.append(Setting(*pair, tuple(compare_arms(read_episodes(path.parent)))))
     return sorted(settings, key=lambda s: (s.delta_free, s.delta_occupied))

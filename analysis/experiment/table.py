@@ -1,31 +1,46 @@
 """The table of an experiment: what each planner in each configuration was worth.
 
-Runs of one floor plan are averaged first. A target that was not reached takes the whole budget.
+Each arm is compared with the reference by `mapreplay.analysis.comparison.compare`: runs of one
+floor plan are averaged first, and a target that was not reached takes the whole budget.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 import polars as pl
 
+from mapreplay.analysis.comparison.compare import (
+    MEASURES,
+    TIME,
+    GroupResult,
+    Measure,
+    Values,
+    compare,
+)
+from mapreplay.analysis.comparison.groups import Group, Grouping
+from mapreplay.analysis.episodes.corpus import LoggedEpisode, Unreadable, read_corpus
 from mapreplay.analysis.experiment.controls import CONTROLS
-from mapreplay.analysis.experiment.rows import Row
-from mapreplay.analysis.reporting.wording import MULTIPLE, change
+from mapreplay.analysis.experiment.jobs import LOGS
+from mapreplay.analysis.pool import default_jobs
 from mapreplay.analysis.stats.estimates import (
+    NEVER,
     Estimate,
-    align,
-    average_runs,
     mean_interval,
     paired_reduction,
     proportion,
     reductions,
 )
 from mapreplay.analysis.stats.significance import holm, signed_rank
+from mapreplay.step import Outcome
+
+Episodes = Mapping[str, Sequence[LoggedEpisode]]
+"""By dataset."""
 
 PLANNERS: Final = ("random", "nearest", "cost-utility", "informative-path")
 PAPER: Final = {
@@ -33,7 +48,23 @@ PAPER: Final = {
     ("D1", "cost-utility"): 0.80, ("D2", "cost-utility"): 0.65,
 }  # fmt: skip
 """What the paper reports for fused/fused on its own data: reduction of mapping time."""
-MAPPED: Final = "mapped"
+_LOGS_A_PROCESS: Final = 16
+"""Logs that are read in the time of a usual piece of work."""
+
+
+def read_episodes(folder: Path) -> dict[str, list[LoggedEpisode]]:
+    """The episodes of an experiment that are finished, by dataset.
+
+    Raises:
+        LogError: a log cannot be read.
+    """
+    paths = sorted((folder / LOGS).glob("*/*/*.mcap"))
+    found: dict[str, list[LoggedEpisode]] = {}
+    for episode in read_corpus(paths, default_jobs(len(paths) // _LOGS_A_PROCESS)):
+        if isinstance(episode, Unreadable):
+            raise episode.error
+        found.setdefault(episode.path.parts[-3], []).append(episode)
+    return found
 
 
 @dataclass(frozen=True)
@@ -48,9 +79,12 @@ class Arm:
     predictor: str
 
     @classmethod
-    def of(cls, row: Row) -> Arm:
+    def of(cls, dataset: str, episode: LoggedEpisode) -> Arm:
         """That of an episode."""
-        return cls(*(getattr(row, f.name) for f in fields(cls)))
+        row = episode.row
+        return cls(
+            dataset, row.planner, str(row.plan_on), str(row.build), row.fail_safe, row.predictor
+        )
 
     @property
     def is_reference(self) -> bool:
@@ -72,7 +106,7 @@ def reading_order(arm: Arm) -> tuple[object, ...]:
 
 
 @dataclass(frozen=True)
-class Summary:
+class ArmResult:
     """An arm over its floor plans; every estimate has a 95 % interval over floor plans."""
 
     arm: Arm
@@ -83,6 +117,8 @@ class Summary:
     """Steps, restricted to the budget."""
     reduction: Estimate
     """Of mapping time against the reference, paired."""
+    reductions: tuple[float, ...]
+    """That of each floor plan."""
     reduction_finished: Estimate
     """The same over the floor plans on which both reached the target in every run."""
     correct_time: Estimate
@@ -102,153 +138,121 @@ class Summary:
     """Wilcoxon signed-rank of the reductions, Holm-corrected over the arms of the dataset."""
 
 
-def summarize(rows: Iterable[Row]) -> list[Summary]:
+def compare_arms(episodes: Episodes) -> list[ArmResult]:
     """All arms of an experiment, by dataset, predictor, planner and configuration.
 
-    The same rows give the same numbers in whatever order they come: which worker ended first is in
-    no interval and in no p-value.
+    The same episodes give the same numbers in whatever order they come: which worker ended first
+    is in no interval and in no p-value.
     """
-    arms: dict[Arm, list[Row]] = {}
-    for row in sorted(rows, key=lambda row: row.key):
-        arms.setdefault(Arm.of(row), []).append(row)
-    ordered = sorted(arms, key=reading_order)
     summaries = []
-    for dataset in dict.fromkeys(arm.dataset for arm in ordered):
-        here = [arm for arm in ordered if arm.dataset == dataset]
-        reference = [row for arm in here if arm.is_reference for row in arms[arm]]
-        tested = [arm for arm in here if not arm.is_reference]
-        effects = [plan_reductions(arms[arm], reference) for arm in tested]
-        p_values = holm([signed_rank(list(effect.values())).p for effect in effects])
+    for dataset in sorted(episodes):
+        arms = by_arm(dataset, episodes[dataset])
+        reference = [e for arm, found in arms.items() if arm.is_reference for e in found]
+        results = {arm: _against(found, reference) for arm, found in arms.items()}
+        effects = {arm: _reductions(*result, TIME) for arm, result in results.items()}
+        tested = [arm for arm in arms if not arm.is_reference]
+        p_values = holm([signed_rank(effects[arm]).p for arm in tested])
         p = dict(zip(tested, p_values, strict=True))
-        summaries += [_summary(arm, arms[arm], reference, p.get(arm, math.nan)) for arm in here]
+        summaries += [
+            _summary(arm, *result, p.get(arm, math.nan)) for arm, result in results.items()
+        ]
     return summaries
 
 
-def mapping_time(row: Row) -> float:
-    """Steps to the target coverage; the budget if it was not reached."""
-    return float(row.budget if row.mapping_time is None else row.mapping_time)
+def by_arm(dataset: str, episodes: Iterable[LoggedEpisode]) -> dict[Arm, list[LoggedEpisode]]:
+    """The episodes of each arm, both in order."""
+    arms: dict[Arm, list[LoggedEpisode]] = {}
+    for episode in sorted(episodes, key=lambda e: (e.row.floor_plan, e.key)):
+        arms.setdefault(Arm.of(dataset, episode), []).append(episode)
+    return {arm: arms[arm] for arm in sorted(arms, key=reading_order)}
 
 
-def correct_time(row: Row) -> float:
-    """Steps to 95 % correct coverage; the budget if that was not reached."""
-    return float(row.budget if row.correct_time is None else row.correct_time)
+_CORRECT: Final = "correct time"
+_MEASURES: Final = (
+    MEASURES[0],
+    Measure(
+        _CORRECT, "steps", 1,
+        lambda e, _, budget: float(budget if e.row.correct_time is None else e.row.correct_time),
+    ),
+    Measure("path", "m", 1, lambda e, _terms, _budget: e.row.path_length),
+    Measure("F1", "1", 3, lambda e, _terms, _budget: e.row.f1),
+    Measure("correct", "1", 3, lambda e, _terms, _budget: e.row.correct),
+    Measure("mapped", "1", 2, lambda e, _terms, _budget: e.row.outcome == Outcome.MAPPED),
+    Measure(
+        "sealed in", "1", 2,
+        lambda e, _terms, _budget: e.row.outcome == Outcome.SEALED_IN or bool(e.fail_safe.any()),
+    ),
+)  # fmt: skip
+"""All but the times are of the end of the episode; the budget is that of the episode."""
 
 
-def by_plan(rows: Iterable[Row], value: Callable[[Row], float]) -> dict[str, float]:
-    """A value of each floor plan, averaged over its runs."""
-    return average_runs((row.floor_plan, value(row)) for row in rows)
+def _against(
+    episodes: Sequence[LoggedEpisode], reference: Sequence[LoggedEpisode]
+) -> tuple[GroupResult, GroupResult | None]:
+    """An arm and the reference on the floor plans that they share; None without any."""
+    places = {episode.place for episode in reference}
+    groups = [Group("arm", tuple(episodes))]
+    if any(episode.place in places for episode in episodes):
+        groups.append(Group("reference", tuple(reference)))
+    found = compare(Grouping(tuple(groups), (), ()), "arm", measures=_MEASURES).groups
+    return found[0], found[1] if len(found) > 1 else None
 
 
-def plan_reductions(
-    rows: Iterable[Row],
-    reference: Iterable[Row],
-    time: Callable[[Row], float] = mapping_time,
-) -> dict[str, float]:
-    """Relative reduction of a time on each floor plan that both have; NaN where undefined."""
-    ours, theirs = by_plan(rows, time), by_plan(reference, time)
-    plans = [plan for plan in theirs if plan in ours]
-    values = reductions(*align(ours, theirs))
-    return dict(zip(plans, values.tolist(), strict=True))
+def _reductions(ours: GroupResult, theirs: GroupResult | None, time: str) -> tuple[float, ...]:
+    """1 - T / T_reference of each floor plan; NaN where undefined."""
+    if theirs is None:
+        return ()
+    return tuple(reductions(ours.values[time], theirs.values[time]).tolist())
 
 
-def _summary(arm: Arm, rows: Sequence[Row], reference: Sequence[Row], p: float) -> Summary:
-    def mean(value: Callable[[Row], float]) -> Estimate:
-        return mean_interval(list(by_plan(rows, value).values()))
-
-    def reduction(time: Callable[[Row], float]) -> Estimate:
-        return mean_interval(list(plan_reductions(rows, reference, time).values()))
-
-    ended = _finished(rows) & _finished(reference)
-    finished = paired_reduction(
-        *align(
-            _only(by_plan(rows, mapping_time), ended),
-            _only(by_plan(reference, mapping_time), ended),
-        )
-    )
-    return Summary(
+def _summary(arm: Arm, ours: GroupResult, theirs: GroupResult | None, p: float) -> ArmResult:
+    effects = _reductions(ours, theirs, TIME)
+    finished = mean_interval([])
+    if theirs is not None:
+        both = (ours.times < NEVER) & (theirs.times < NEVER)
+        finished = paired_reduction(ours.times[both], theirs.times[both])
+    return ArmResult(
         arm=arm,
-        plans=len({row.floor_plan for row in rows}),
-        runs=len(rows),
-        mapping_time=mean(mapping_time),
-        reduction=reduction(mapping_time),
+        plans=ours.times.size,
+        runs=ours.episodes,
+        mapping_time=ours.estimates[TIME],
+        reduction=mean_interval(effects),
+        reductions=effects,
         reduction_finished=finished,
-        correct_time=mean(correct_time),
-        correct_reduction=reduction(correct_time),
-        path_length=mean(lambda row: row.path_length),
-        f1=mean(lambda row: row.f1),
-        correct=mean(lambda row: row.correct),
-        success=_share(by_plan(rows, lambda row: row.outcome == MAPPED)),
-        sealed_in=_share(by_plan(rows, lambda row: row.sealed_step is not None)),
+        correct_time=ours.estimates[_CORRECT],
+        correct_reduction=mean_interval(_reductions(ours, theirs, _CORRECT)),
+        path_length=ours.estimates["path"],
+        f1=ours.estimates["F1"],
+        correct=ours.estimates["correct"],
+        success=_share(ours.values["mapped"]),
+        sealed_in=_share(ours.values["sealed in"]),
         p=p,
     )
 
 
-def _share(values: Mapping[str, float]) -> Estimate:
+def _share(shares: Values) -> Estimate:
     """Of one episode a floor plan with Wilson's interval, which is right also at 0 and 1; of
     several runs a floor plan by bootstrap over these.
     """
-    shares = np.array(list(values.values()))
     if not np.isin(shares, (0.0, 1.0)).all():
         return mean_interval(shares)
     wilson = proportion(int(shares.sum()), shares.size)
     return Estimate(wilson.share, wilson.low, wilson.high, wilson.of)
 
 
-def _finished(rows: Iterable[Row]) -> frozenset[str]:
-    """The floor plans on which every run reached its target."""
-    shares = by_plan(rows, lambda row: row.mapping_time is not None)
-    return frozenset(plan for plan, share in shares.items() if share == 1)
-
-
-def _only(values: Mapping[str, float], plans: frozenset[str]) -> dict[str, float]:
-    return {plan: value for plan, value in values.items() if plan in plans}
-
-
-def summary_frame(summaries: Sequence[Summary]) -> pl.DataFrame:
+def summary_frame(summaries: Sequence[ArmResult]) -> pl.DataFrame:
     """One row an arm; an estimate is three columns: its name, ``_low`` and ``_high``."""
     records = []
     for summary in summaries:
         record: dict[str, object] = {f.name: getattr(summary.arm, f.name) for f in fields(Arm)}
-        for f in fields(Summary)[1:]:
+        for f in fields(ArmResult)[1:]:
             value = getattr(summary, f.name)
             if isinstance(value, Estimate):
                 record |= {
                     f.name: value.mean, f"{f.name}_low": value.low, f"{f.name}_high": value.high
                 }  # fmt: skip
-            else:
+            elif f.name != "reductions":
                 record[f.name] = value
         record["finished_plans"] = summary.reduction_finished.plans
         records.append(record)
     return pl.DataFrame(records, infer_schema_length=None).fill_nan(None)
-
-
-def brief_frame(summaries: Sequence[Summary]) -> pl.DataFrame:
-    """What a person wants to see of it, narrow enough for a terminal."""
-    return pl.DataFrame(
-        [
-            {
-                "dataset": s.arm.dataset,
-                "planner": s.arm.planner,
-                "maps": s.arm.maps + (" safe" if s.arm.fail_safe else ""),
-                "predictor": s.arm.predictor,
-                "steps": round(s.mapping_time.mean),
-                "saved": _percent(s.reduction),
-                "correct": s.correct.mean,
-                "f1": s.f1.mean,
-                "sealed": s.sealed_in.mean,
-            }
-            for s in summaries
-        ]
-    )
-
-
-def _percent(estimate: Estimate) -> str:
-    if math.isnan(estimate.mean):
-        return "-"
-    if estimate.mean < MULTIPLE:
-        return change(estimate.mean)
-    low, high = (
-        "?" if math.isnan(bound) else f"{100 * bound:.0f}"
-        for bound in (estimate.low, estimate.high)
-    )
-    return f"{100 * estimate.mean:.0f}% [{low}, {high}]"

@@ -13,7 +13,7 @@ from mapreplay.files import make_folder
 
 if TYPE_CHECKING:
     from mapreplay.analysis.experiment.config import Dataset, ExperimentConfig
-    from mapreplay.analysis.experiment.jobs import Job
+    from mapreplay.analysis.experiment.jobs import Job, Shelf
     from mapreplay.floorplan import FloorPlan
 
 
@@ -37,13 +37,16 @@ def experiment(
     report_only: Annotated[
         bool, typer.Option("--report-only", help="Simulate nothing; tables and figures again.")
     ] = False,
+    keep_logs: Annotated[
+        bool, typer.Option("--keep-logs", help="Keep every step, and not only the scalars.")
+    ] = False,
     docs: Annotated[
         Path | None, typer.Option(help="Also renew the generated parts of results.md there.")
     ] = None,
 ) -> None:
     """Run planners on floor plans with and without prediction; tables and figures with intervals.
 
-    Every finished episode is kept: repeat the command to go on after a stop.
+    Every finished episode is kept as a log: repeat the command to resume after a stop.
     """
     from mapreplay.analysis.experiment.config import ExperimentConfig
     from mapreplay.analysis.experiment.origin import check_settings
@@ -54,7 +57,8 @@ def experiment(
     if not report_only:
         from mapreplay.analysis.pool import cores
 
-        _make(settings, _places(floorplans or [], settings), out, jobs or cores())
+        places = _places(floorplans or [], settings)
+        _make(settings, places, out, jobs or cores(), whole=keep_logs)
     for path in write_report(out, docs, Path(config).stem):
         note(f"wrote {path}")
     say((out / "results.md").read_text(encoding="utf-8"))
@@ -86,10 +90,11 @@ def _places(given: list[str], settings: ExperimentConfig) -> dict[str, str]:
     return places
 
 
-def _make(settings: ExperimentConfig, places: dict[str, str], out: Path, processes: int) -> None:
+def _make(
+    settings: ExperimentConfig, places: dict[str, str], out: Path, processes: int, *, whole: bool
+) -> None:
     """All that is measured, into `out`."""
-    from mapreplay.analysis.experiment.jobs import jobs_of
-    from mapreplay.analysis.experiment.rows import ROWS_FILE
+    from mapreplay.analysis.experiment.jobs import Shelf, jobs_of
     from mapreplay.analysis.experiment.sweep import setting_folder
     from mapreplay.floorplans.plausibility import examine, warning_lines
 
@@ -103,7 +108,7 @@ def _make(settings: ExperimentConfig, places: dict[str, str], out: Path, process
         jobs = [job for d in what.datasets for job in jobs_of(what, d, plans[d.name])]
         # First runs of all datasets first: what was stopped is a smaller experiment on all.
         jobs.sort(key=lambda job: job.config.seed)
-        _simulate(jobs, folder / ROWS_FILE, processes)
+        _simulate(jobs, Shelf(folder, whole), processes)
 
     for d in settings.datasets:
         _measure_curve(settings, d, plans[d.name], out)
@@ -125,25 +130,21 @@ def _keep_settings(
         keep_origin(out, d.name, Origin.of(settings, d, plans[d.name]))
 
 
-def _simulate(jobs: list[Job], path: Path, processes: int) -> None:
+def _simulate(jobs: list[Job], shelf: Shelf, processes: int) -> None:
     from contextlib import closing
 
-    from mapreplay.analysis.experiment.rows import RowFile
-    from mapreplay.analysis.experiment.runner import jobs_left, run_jobs
+    from mapreplay.analysis.experiment.runner import run_jobs
     from mapreplay.cli.progress import TimeLeft, progress_bar
 
-    make_folder(path.parent)
-    file = RowFile(path)
-    left = jobs_left(jobs, file)
+    left = [job for job in jobs if not shelf.has(job)]
     total, done = len(jobs), len(jobs) - len(left)
-    note(f"{path.parent}: {done} of {total} simulations are there")
-    with closing(run_jobs(left, file, processes)) as finished, progress_bar("episode") as bar:
+    note(f"{shelf.folder}: {done} of {total} simulations are there")
+    with closing(run_jobs(left, shelf, processes)) as finished, progress_bar("episode") as bar:
         task = bar.add_task("simulations", total=total, completed=done, episode="")
         lines = TimeLeft("simulations", done, total)
-        for job_rows in finished:
-            row = job_rows[0]
+        for name in finished:
             lines.advance()
-            bar.update(task, advance=1, episode=f"{row.dataset} {row.planner} s{row.seed}")
+            bar.update(task, advance=1, episode=name)
 
 
 def _measure_curve(

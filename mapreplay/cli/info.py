@@ -67,7 +67,8 @@ def info(
         for name in ("outcome", "steps", "mapping_time", "correct_time", "path_length", "coverage",
                      "correct", "f1", "fail_safe_steps")
     ]  # fmt: skip
-    facts += [("event", f"{step} {event.kind}", event.text) for step, event in opened.events()]
+    if opened.has_steps:
+        facts += [("event", f"{step} {event.kind}", event.text) for step, event in opened.events()]
     frame = pl.DataFrame(
         {
             "of": [of for of, _, _ in facts],

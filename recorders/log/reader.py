@@ -77,6 +77,10 @@ class MapName(StrEnum):
         return Topic(f"/map/{self}")
 
 
+NO_STEPS_KEPT: Final = (
+    "holds scalars only; to have its steps, run the experiment again with --keep-logs"
+)
+
 Stamps: TypeAlias = "list[tuple[Topic, int]]"
 """What messages are stamped with, in nanoseconds of simulated time."""
 
@@ -126,6 +130,9 @@ class EpisodeLog:
             ending = self._find_metadata(file, OUTCOME_RECORD) if index.is_closed else None
             summary = None if ending is None else summary_of(ending)
             found = None if index.is_ours and summary else self._survey(file, index)
+            # The true map has a block of its own, and steps have others.
+            self.has_steps: Final = found is not None or len(index.blocks) > 1
+            """Whether there is more than the scalars of the steps."""
             self._channels: Final = found.channels if found else index.channels
             self._blocks: Final = found.sorted_blocks() if found else index.blocks
             self.header: Final = self._read_header(file, pairs, found)
@@ -366,7 +373,7 @@ class EpisodeLog:
         attached = self.attached_table()
         if attached is None or self.summary is None:
             return step_table.table_of([step_table.row_of(step) for step in self.steps()])
-        last = self[-1]
+        last = self[-1] if self.has_steps else None
         with self._blaming():
             step_table.check_end(attached, last, self.summary, self.header)
         return attached
@@ -396,7 +403,13 @@ class EpisodeLog:
     def _steps_in(
         self, file: BinaryIO, blocks: Sequence[Block], wanted: Collection[Topic]
     ) -> Iterator[StepMessages]:
-        """The `wanted` messages of the steps in `blocks`, of those that there are."""
+        """The `wanted` messages of the steps in `blocks`, of those that there are.
+
+        Raises:
+            LogError: there are only scalars.
+        """
+        if not self.has_steps:
+            raise LogError(NO_STEPS_KEPT)
         found = steps_in(file, blocks, wanted, self._channels)
         if isinstance(self._numbers, range):
             return found
@@ -421,8 +434,9 @@ class EpisodeLog:
 
     def _condition(self) -> Condition:
         if self.summary is not None:
-            lost = self.summary.outcome is None
-            return Condition.RECOVERED if lost else Condition.FINISHED
+            if self.summary.outcome is None:
+                return Condition.RECOVERED
+            return Condition.FINISHED if self.has_steps else Condition.SCALARS_ONLY
         if self._index.is_closed:
             return Condition.UNFINISHED
         if is_locked(self.path):

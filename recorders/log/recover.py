@@ -128,4 +128,4 @@ def _is_intact(source: Path) -> bool:
     return False
 
 
-_WHOLE_FILES = {Condition.FINISHED, Condition.RECOVERED}
+_WHOLE_FILES = {Condition.FINISHED, Condition.SCALARS_ONLY, Condition.RECOVERED}

@@ -22,6 +22,8 @@ class Condition(StrEnum):
 
     FINISHED = "finished"
     """Its last step is there, and says how the episode ended."""
+    SCALARS_ONLY = "scalars only"
+    """It is finished, and was recorded without its steps; see `scalars`."""
     RECOVERED = "recovered"
     """Made by `mapreplay recover` of a log whose end is lost, or steps in its middle."""
     UNFINISHED = "unfinished"
@@ -30,6 +32,9 @@ class Condition(StrEnum):
     """Another process writes it now."""
     CUT_OFF = "cut off"
     """It is called like a finished one, but its end is not there."""
+
+
+_FINISHED: Final = (Condition.FINISHED, Condition.SCALARS_ONLY)
 
 
 @dataclass(frozen=True)
@@ -46,8 +51,8 @@ class LogState:
 
     @property
     def finished(self) -> bool:
-        """Whether the whole episode is there, each step of it."""
-        return self.condition is Condition.FINISHED and not self.missing
+        """Whether the whole episode is there, each step of it, or the scalars of each."""
+        return self.condition in _FINISHED and not self.missing
 
     @property
     def whole(self) -> bool:
@@ -60,7 +65,7 @@ class LogState:
     def __str__(self) -> str:
         said = []
         if not self.finished:
-            if self.condition is not Condition.FINISHED:
+            if self.condition not in _FINISHED:
                 said.append(str(self.condition))
             if self.missing:
                 said.append(f"{span_words(self.missing)} missing")

@@ -95,21 +95,23 @@ def from_parquet(data: bytes, steps: Sequence[int]) -> pl.DataFrame:
 
 
 def check_end(
-    table: pl.DataFrame, last: Step, summary: EpisodeSummary, header: EpisodeHeader
+    table: pl.DataFrame, last: Step | None, summary: EpisodeSummary, header: EpisodeHeader
 ) -> None:
     """Whether a table of all steps ends as the log does.
 
     Args:
         table: See `table_of`; not empty.
-        last: The last step.
+        last: The last step; None of a log without steps.
         summary: How the episode ended, as the log says it.
         header: What the log says once.
 
     Raises:
         ValueError: it does not, so that it is the table of another log, or was changed.
     """
-    if table.row(-1) != row_of(last):
+    if last is not None and table.row(-1) != row_of(last):
         raise ValueError(f"{ATTACHMENT} has another last step than the log")
+    if last is None and table["path_length"].item(-1) != summary.path_length:
+        raise ValueError(f"{ATTACHMENT} has another path than the log")
     # Column by column: a query of the data frame takes longer than all the rest.
     scores = np.stack([table[name].to_numpy() for name in StepMetrics.names()])
     check_scores(scores, len(table), header.floor_plan)

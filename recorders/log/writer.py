@@ -111,9 +111,7 @@ class EpisodeWriter:
             WriteError: the file cannot be written.
             ValueError: `step` does not follow the last one.
         """
-        if step.index >= MAX_STEPS:
-            raise LogError(f"{self.part}: a log has at most {MAX_STEPS} steps")
-        self._tally.add(step)
+        self._count(step)
         messages = [
             message
             for message in encode_step(step, self._header)
@@ -131,6 +129,11 @@ class EpisodeWriter:
             full = self._pending_bytes >= CHUNK_BYTES
             if full or len(self._tally.rows) % STEPS_A_CHUNK == 0:
                 self._flush()
+
+    def _count(self, step: Step) -> None:
+        if step.index >= MAX_STEPS:
+            raise LogError(f"{self.part}: a log has at most {MAX_STEPS} steps")
+        self._tally.add(step)
 
     def skip_to(self, index: int) -> None:
         """Say that the steps up to `index` are lost, which is the next that will be written.

@@ -1,15 +1,15 @@
 """What low thresholds with the fail-safe cost and gain, plan by plan.
 
-    python samples/experiments/fail_safe_cost.py LOW.csv SAFE.csv runs/paper/rows.jsonl
+    python samples/experiments/fail_safe_cost.py LOW.csv SAFE.csv PAPER.csv
 
 The first two are what `mapreplay ls --format csv` says of the episodes without the fail-safe, and
 of those of them that were sealed in, recorded again with it: the fail-safe changes nothing before
-the first sealing, so that the others are the same with it. The third has the rows of `mapreplay
-experiment paper`, in which the same planner with the fail-safe has the default thresholds.
+the first sealing, so that the others are the same with it. The third is what it says of the same
+planner with the fail-safe at the default thresholds, from the logs of `mapreplay experiment paper`:
+``mapreplay ls runs/paper/logs/D1/cost-utility__fused-fused__d1+fail-safe --format csv``.
 """
 
 import csv
-import json
 import sys
 from pathlib import Path
 
@@ -35,9 +35,8 @@ if any(row["outcome"] != "mapped" for row in safe.values()):
 times = {plan: float(safe.get(plan, row)["steps"]) for plan, row in low.items()}
 defaults = {
     row["floor_plan"]: float(row["steps"])
-    for row in map(json.loads, paper_file.open())
+    for row in csv.DictReader(paper_file.open())
     if (row["planner"], row["predictor"]) == (first["planner"], first["predictor"])
-    and (row["plan_on"], row["build"], row["fail_safe"]) == ("fused", "fused", True)
 }
 
 

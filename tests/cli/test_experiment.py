@@ -1,15 +1,15 @@
 """`mapreplay experiment`: from training to tables and figures, and what can be wrong with it."""
 
 import json
-import random
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from commands import Run
-from mapreplay.analysis.experiment.config import ExperimentConfig, shipped_configs
-from mapreplay.floorplans import procedural, read_ids
+from mapreplay.analysis.experiment.config import shipped_configs
+from mapreplay.floorplans import procedural
+from mapreplay.recorders.log.reader import EpisodeLog
 
 TINY = shipped_configs()["tiny"]
 
@@ -47,24 +47,43 @@ def test_the_whole_pipeline(cli: Run, tmp_path: Path) -> None:
     assert results["infill"][-1]["arm"]["predictor"] == "infill-4"
     assert results["sweep"][0]["delta_free"] == 0.8
     assert "| planner | plans on/builds |" in made.out
-    for path in (out / "rows.jsonl", out / "results.json", out / "example.mcap"):
+    logs = sorted((out / "logs").rglob("*.mcap"))
+    for path in (*logs, out / "results.json", out / "example.mcap"):
         assert str(tmp_path).encode() not in path.read_bytes()  # a name and a hash, never a path
 
-    rows = (out / "rows.jsonl").read_text().splitlines(keepends=True)
-    (out / "rows.jsonl").write_text("".join(rows[:-3]) + rows[-3][:40])
+    # The table says what the ends of the logs say.
+    times = dict[tuple[str, str, bool], dict[str, list[int]]]()
+    for log in map(EpisodeLog, logs):
+        header, end = log.header, log.summary
+        assert end is not None
+        arm = (header.config.planner, header.predictor.name, header.config.fail_safe)
+        time = header.max_steps if end.mapping_time is None else end.mapping_time
+        times.setdefault(arm, {}).setdefault(header.floor_plan.id, []).append(time)
+    mean = {
+        arm: {name: sum(runs) / len(runs) for name, runs in plans.items()}
+        for arm, plans in times.items()
+    }
+    reference = mean["nearest", "none", False]
+    for row in results["table"]:
+        ours = mean[tuple(row["arm"][key] for key in ("planner", "predictor", "fail_safe"))]
+        saved = [1 - ours[name] / reference[name] for name in sorted(reference)]
+        assert row["mapping_time"]["mean"] == pytest.approx(sum(ours.values()) / 3)
+        assert row["reductions"] == pytest.approx(saved)
+        assert row["reduction"]["mean"] == pytest.approx(sum(saved) / 3)
+
+    # A kill costs the episodes that were not finished, and changes nothing.
+    reports = {name: (out / name).read_bytes() for name in ("results.md", "results.json")}
+    whole = {path: path.read_bytes() for path in logs}
+    for path in logs[-3:]:
+        path.rename(f"{path}.part")
     again = cli("experiment", config, "--out", out, "--jobs", 1)
     assert again.code == 0, again.err
-    assert "of 24 simulations are there" in again.err
-    assert len((out / "rows.jsonl").read_text().splitlines()) == len(rows)
-    assert json.loads((out / "results.json").read_text())["table"] == results["table"]
-
-    # The order of the rows is that in which workers ended: it is in no number.
-    reports = [(out / name).read_bytes() for name in ("results.md", "results.json")]
-    shuffled = (out / "rows.jsonl").read_text().splitlines(keepends=True)
-    random.Random(1).shuffle(shuffled)
-    (out / "rows.jsonl").write_text("".join(shuffled))
+    assert "out: 21 of 24 simulations are there" in again.err
+    assert {path: path.read_bytes() for path in whole} == whole
+    for name in reports:
+        (out / name).unlink()
     assert cli("experiment", config, "--out", out, "--report-only").code == 0
-    assert [(out / name).read_bytes() for name in ("results.md", "results.json")] == reports
+    assert {name: (out / name).read_bytes() for name in reports} == reports
 
     changed = tmp_path / "changed.toml"
     changed.write_text(config.read_text().replace("coverage = 0.9", "coverage = 0.8"))
@@ -93,9 +112,17 @@ def test_other_floor_plans_or_code_are_refused_and_more_floor_plans_are_not(
     command = ("experiment", config, "--out", tmp_path / "out", "--jobs", 1)
     assert cli(*command).code == 0
     assert "1 of 1 simulations are there" in cli(*command).err
+    (log,) = (tmp_path / "out" / "logs").rglob("*.mcap")
+    told = cli("verify", log)
+    assert (told.code, "run the experiment again with --keep-logs" in told.err) == (1, True)
+    assert cli("verify", "--rerun", log).code == 0
+    assert "scalars only" in cli("info", log).out
+    report = (tmp_path / "out" / "results.md").read_bytes()
+    assert "0 of 1 simulations are there" in cli(*command, "--keep-logs").err
+    assert (tmp_path / "out" / "results.md").read_bytes() == report
+    assert cli("verify", log).code == 0
     assert "1 of 2 simulations are there" in cli(*command, "--floorplans", "D1=procedural:5-6").err
-    rows = [json.loads(r) for r in (tmp_path / "out" / "rows.jsonl").read_text().splitlines()]
-    assert len({row["digest"] for row in rows} - {""}) == 2
+    assert len(list((tmp_path / "out" / "logs").rglob("*.mcap"))) == 2
 
     real = procedural.generate
     with monkeypatch.context() as patch:
@@ -112,12 +139,12 @@ def test_other_floor_plans_or_code_are_refused_and_more_floor_plans_are_not(
         refused = cli(*command)
     assert "another experiment is there (code of mapreplay " in refused.err
     assert "now 111111111111)" in refused.err
-    (tmp_path / "out" / "settings-D1.json").unlink()  # rows of elsewhere, copied into a folder
-    with monkeypatch.context() as patch:
-        patch.setattr("mapreplay.analysis.experiment.jobs.code_digest", lambda: 64 * "1")
-        refused = cli(*command, "--floorplans", "D1=procedural:5-6")
+    (tmp_path / "out" / "settings-D1.json").unlink()  # logs of elsewhere, copied into a folder
+    other = tmp_path / "other.toml"
+    other.write_text(config.read_text().replace("coverage = 0.9", "coverage = 0.8"))
+    refused = cli("experiment", other, *command[2:])
     assert refused.code == 1
-    assert "nearest on procedural-5, seed 1 was run with another configuration" in refused.err
+    assert "procedural-5__nearest__observed-observed__s1.mcap: a log of another ep" in refused.err
     (tmp_path / "out" / "settings-D1.json").write_text('{"of": "an earlier version"}')
     assert "does not say what the results there were made of" in cli(*command).err
 
@@ -155,12 +182,6 @@ def test_a_folder_called_like_an_experiment_does_not_hide_it(
     monkeypatch.chdir(tmp_path)
     result = cli("experiment", "tiny", "--out", "out", "--dataset", "D9")
     assert "no dataset 'D9'; there are D1" in result.err  # it was read
-
-
-def test_all_that_an_experiment_needs_comes_with_the_package() -> None:
-    for path in shipped_configs().values():
-        for dataset in ExperimentConfig.read(path).datasets:
-            assert dataset.ids is None or read_ids(dataset.ids)
 
 
 def test_an_out_that_is_no_folder_is_refused(cli: Run, tmp_path: Path) -> None:

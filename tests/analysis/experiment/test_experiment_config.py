@@ -1,14 +1,15 @@
-"""The configuration: what is wrong with it is one line, and the samples are right."""
+"""The configuration: what is wrong with it is one line, and those of the package are right."""
 
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from mapreplay.analysis.experiment.config import ExperimentConfig
+from mapreplay.analysis.experiment.config import ExperimentConfig, shipped_configs
 from mapreplay.errors import ConfigError, FloorPlanError, UsageError
 
-SAMPLES = Path(__file__).parents[3] / "samples" / "experiments"
+SHIPPED = shipped_configs()
+CONFIGS = SHIPPED["paper"].parent
 PLAIN: dict[str, Any] = {
     "datasets": [
         {"name": "D1", "floorplans": "procedural:7-9", "predictor": "d1", "wall-share": 0.14}
@@ -22,14 +23,14 @@ def of(**changes: Any) -> ExperimentConfig:
     return ExperimentConfig.of(PLAIN | changes, "my.toml")
 
 
-@pytest.mark.parametrize("name", ["paper", "validation", "tiny"])
-def test_the_samples_are_read(name: str) -> None:
-    config = ExperimentConfig.read(SAMPLES / f"{name}.toml")
+@pytest.mark.parametrize("name", SHIPPED)
+def test_what_comes_with_the_package_is_read(name: str) -> None:
+    config = ExperimentConfig.read(SHIPPED[name])
     assert all(dataset.ids is None or dataset.ids.exists() for dataset in config.datasets)
 
 
 def test_the_papers_experiment_is_the_papers() -> None:
-    config = ExperimentConfig.read(SAMPLES / "paper.toml")
+    config = ExperimentConfig.read(CONFIGS / "paper.toml")
     assert (config.delta_free, config.delta_occupied, config.coverage) == (0.93, 0.95, 0.98)
     assert {p.planner: p.runs for p in config.planners} == {
         "random": 10, "nearest": 1, "cost-utility": 1,
@@ -43,10 +44,10 @@ def test_the_papers_experiment_is_the_papers() -> None:
 
 
 def test_validation_plans_are_no_test_plans() -> None:
-    config = ExperimentConfig.read(SAMPLES / "validation.toml")
+    config = ExperimentConfig.read(CONFIGS / "validation.toml")
     assert config.datasets[0].floorplans == "procedural:50000-50019"
-    paper = (SAMPLES / "d2-test.txt").read_text().split()
-    ours = (SAMPLES / "d2-validation.txt").read_text().splitlines()[1:]
+    paper = (CONFIGS / "d2-test.txt").read_text().split()
+    ours = (CONFIGS / "d2-validation.txt").read_text().splitlines()[1:]
     assert len(ours) == 40
     assert not set(ours) & set(paper)
 

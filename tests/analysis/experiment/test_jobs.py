@@ -1,19 +1,33 @@
 """Jobs: which episodes, in which order, and what is kept of one."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
+import pytest
 
 from drawing import draw, plan
+from experiments import GivenJob
 from fakes import FixedPredictor
+from mapreplay.analysis.diff.folders import PairDiff, diff_pairs
+from mapreplay.analysis.episodes.corpus import read_episode
 from mapreplay.analysis.experiment.config import ExperimentConfig
 from mapreplay.analysis.experiment.controls import CONTROLS
 from mapreplay.analysis.experiment.infill import InFill
-from mapreplay.analysis.experiment.jobs import Job, identity, jobs_of, run_job
+from mapreplay.analysis.experiment.jobs import Job, Shelf, headers_of, jobs_of, run_job
+from mapreplay.analysis.metrics.calibration import distance_from_observed
+from mapreplay.analysis.verification import verify, verify_rerun
 from mapreplay.config import EpisodeConfig
-from mapreplay.episode import prepare_episode, run_episode
+from mapreplay.episode import record
+from mapreplay.errors import LogError
 from mapreplay.floorplans.procedural import generate
-from mapreplay.predictors import NoPredictor
+from mapreplay.grid import Grid
+from mapreplay.predictors import NoPredictor, Predictor
+from mapreplay.recorders.log.header import NO_STEPS
+from mapreplay.recorders.log.reader import EpisodeLog
+from mapreplay.recorders.log.scalars import ScalarsWriter
+from mapreplay.step import Outcome, PredictorIdentity
 
 RING = """
     ###########
@@ -42,11 +56,19 @@ CONFIG = ExperimentConfig.of(
 )
 
 
-def job(**changes: object) -> Job:
+def job(predictor: Predictor | None = None, **changes: object) -> GivenJob:
     config = EpisodeConfig.of(
         {"planner": "nearest", "predictor": "none", "reach": 1, "fail_safe": True} | changes
     )
-    return Job("D1", plan(RING), config, 0.14)
+    return GivenJob("D1", plan(RING), config, 0.14).with_predictor(predictor or NoPredictor())
+
+
+def logs(job: Job, folder: Path, *, whole: bool = False) -> list[EpisodeLog]:
+    """Those that a job gives."""
+    shelf = Shelf(folder, whole)
+    run_job(job, shelf)
+    assert shelf.has(job)
+    return [EpisodeLog(shelf.path(job.dataset, h)) for h in headers_of(job.prepare())]
 
 
 def walls_two_cells_away() -> FixedPredictor:
@@ -70,54 +92,115 @@ def test_every_episode_is_there_once_and_first_runs_come_first() -> None:
     assert [entry[3] for entry in told] == ["procedural-7", "procedural-8"] * 8
 
 
-def test_only_fused_fused_gives_two_rows() -> None:
+class Late:
+    """Sure of a wall around all that was observed, as soon as that are so many cells."""
+
+    identity = PredictorIdentity("late", "")
+
+    def __init__(self, cells: int) -> None:
+        self._cells = cells
+
+    def predict(self, observed: Grid) -> npt.NDArray[np.float32]:
+        late = (observed >= 0).sum() >= self._cells
+        return np.where(late & (distance_from_observed(observed) <= 1), 1.0, 0.5).astype(np.float32)
+
+
+def test_only_fused_fused_gives_two_logs() -> None:
     jobs = jobs_of(CONFIG, CONFIG.datasets[0], [generate(7)])
     for each in jobs:
-        safe = [entry[5] for entry in each.identities()]
+        safe = [header.config.fail_safe for header in headers_of(each.prepare())]
         assert safe == ([True, False] if each.config.build == "fused" else [False])
 
 
 def test_predictors_are_made_of_the_floor_plan_or_the_share() -> None:
-    oracle = job(predictor="infill-4").predictor()
+    def made(name: str) -> Predictor:
+        return Job("D1", plan(RING), EpisodeConfig(predictor=name), 0.14).predictor()
+
+    oracle = made("infill-4")
     assert isinstance(oracle, InFill)
     assert oracle.radius == 4
     nothing: np.ndarray[tuple[int, int], np.dtype[np.int8]] = np.full((3, 3), -1, np.int8)
     for name, said in (("always-free", 0.0), ("mean-wall", 0.14)):
         assert name in CONTROLS
-        p_wall = job(predictor=name).predictor().predict(nothing)
+        p_wall = made(name).predict(nothing)
         assert p_wall is not None
         assert (p_wall == np.float32(said)).all()
 
 
-def test_an_agent_that_was_sealed_in_has_a_row_that_ends_there() -> None:
-    safe, without = run_job(job(), walls_two_cells_away())
-    assert (safe.outcome, safe.fail_safe) == ("mapped", True)
-    assert safe.fail_safe_steps > 0
-    assert (without.outcome, without.fail_safe, without.steps) == ("sealed_in", False, 0)
-    assert without.mapping_time is None
-    assert safe.sealed_step == without.sealed_step == 0
-    assert without.coverage < safe.coverage
+def test_an_agent_that_was_sealed_in_has_a_log_that_ends_there(tmp_path: Path) -> None:
+    made = logs(job(walls_two_cells_away()), tmp_path)
+    safe, without = (read_episode(log.path) for log in made)
+    assert (safe.row.outcome, safe.row.fail_safe) == ("mapped", True)
+    assert safe.row.fail_safe_steps > 0
+    assert safe.fail_safe[0]
+    assert (without.row.outcome, without.row.steps) == ("sealed_in", 0)
+    assert not without.row.fail_safe
+    assert without.row.mapping_time is None
+    assert without.row.coverage < safe.row.coverage
 
 
-def test_the_row_without_fail_safe_is_that_of_an_episode_run_without() -> None:
-    for predictor in (walls_two_cells_away(), NoPredictor()):
-        _, without = run_job(job(), predictor)
-        (real,) = run_job(job(fail_safe=False), predictor)
-        assert without.digest != real.digest  # it was had by another simulation
-        assert replace(without, seconds=0, digest="") == replace(real, seconds=0, digest="")
+@pytest.mark.parametrize("whole", [False, True])
+def test_the_log_without_fail_safe_is_that_of_an_episode_run_without(
+    tmp_path: Path, whole: bool
+) -> None:
+    ends = set()
+    cases = [(cells, steps) for cells in (1, 12, 20) for steps in (1, 2, 3, 4, None)]
+    for number, (cells, steps) in enumerate(cases):
+        changes = {"max_steps": steps} if steps else {}
+        here, there = tmp_path / f"{number}", tmp_path / f"{number}-alone"
+        safe, without = logs(job(Late(cells), **changes), here, whole=whole)
+        (alone,) = logs(job(Late(cells), fail_safe=False, **changes), there, whole=whole)
+        assert without.path.read_bytes() == alone.path.read_bytes()
+        ends.add((safe.outcome, without.outcome, (without.summary or NO_STEPS).steps > 0))
+    out_of_steps = Outcome.OUT_OF_STEPS
+    assert {(Outcome.MAPPED, Outcome.SEALED_IN, True), (out_of_steps, out_of_steps, True)} <= ends
 
 
-def test_a_row_is_what_the_steps_say() -> None:
+def test_scalars_are_those_of_the_whole_log_and_are_all_that_there_is(tmp_path: Path) -> None:
     each = job(plan_on="observed", build="observed", fail_safe=False)
-    (row,) = run_job(each, NoPredictor())
-    episode = prepare_episode(each.config, each.floor_plan, predictor=NoPredictor())
-    steps = list(run_episode(episode))
-    last = steps[-1]
-    assert (row.steps, row.outcome) == (last.index, "mapped")
-    assert (row.mapping_time, row.sealed_step, row.fail_safe_steps) == (last.index, None, 0)
-    assert row.correct_time == next(
-        s.index for s in steps if s.metrics.correct_coverage_observed >= 0.95
-    )
-    assert (row.path_length, row.f1) == (last.metrics.path_length, last.metrics.f1)
-    assert row.budget == episode.header.max_steps
-    assert identity(row) in each.identities()
+    (scalars,), (whole,) = logs(each, tmp_path / "s"), logs(each, tmp_path / "w", whole=True)
+    assert scalars.table().equals(whole.table())
+    assert (scalars.summary, scalars.header.config) == (whole.summary, whole.header.config)
+    of_scalars, of_whole = read_episode(scalars.path), read_episode(whole.path)
+    assert replace(of_scalars.row, file="") == replace(of_whole.row, file="")
+    assert (str(scalars.state), scalars.state.whole) == ("scalars only", True)
+    told = r"holds scalars only; .* --keep-logs"
+    for use in (list, lambda log: log[0], verify, lambda log: list(log.maps("observed"))):
+        with pytest.raises(LogError, match=told):
+            use(scalars)
+    assert verify(whole).agrees
+
+
+def test_scalars_are_verified_by_running_the_episode_again(tmp_path: Path) -> None:
+    each = job(plan_on="observed", build="observed", fail_safe=False)
+    (log,) = logs(each, tmp_path)
+    found = verify_rerun(log)
+    assert (found.agrees, found.steps) == (True, len(log))
+    other = replace(log.header, config=log.header.config.model_copy(update={"planner": "random"}))
+    path = tmp_path / "claims.mcap"
+    with ScalarsWriter(path, other) as writer:
+        record(each.prepare(), writer)
+    assert not verify_rerun(EpisodeLog(path)).agrees
+
+
+def test_folders_of_scalars_are_diffed_by_them(tmp_path: Path) -> None:
+    safe, without = logs(job(Late(12)), tmp_path)
+    a, b = read_episode(safe.path), read_episode(without.path)
+    (found,) = diff_pairs([(a, b)])
+    (same,) = diff_pairs([(a, a)])
+    assert isinstance(found, PairDiff)
+    assert isinstance(same, PairDiff)
+    assert (same.identical, same.step) == (True, None)
+    # They agree until the one without is sealed in: it decides nothing there, and ends.
+    assert (found.identical, found.step, found.layer) == (False, without.last, "scalars")
+    assert (found.move_step, found.outcome_b) == (None, "sealed_in")
+
+
+def test_scalars_do_not_count_where_whole_logs_are_wanted(tmp_path: Path) -> None:
+    each = job(fail_safe=False)
+    run_job(each, Shelf(tmp_path))
+    assert Shelf(tmp_path).has(each)
+    assert not Shelf(tmp_path, whole=True).has(each)
+    run_job(each, Shelf(tmp_path, whole=True))
+    assert Shelf(tmp_path).has(each)
+    assert Shelf(tmp_path, whole=True).has(each)

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from drawing import plan
-from experiments import ROW
+from experiments import ROW, Row, fill
 from fakes import FixedPredictor
 from mapreplay.analysis.experiment.curve import measure_curve
 from mapreplay.analysis.experiment.example import read_example, record_example
 from mapreplay.analysis.experiment.report import read_results, update_page, write_report
-from mapreplay.analysis.experiment.rows import Row, RowFile
 from mapreplay.analysis.experiment.sweep import setting_folder
 from mapreplay.errors import MapreplayError
 from mapreplay.mapping import Thresholds
@@ -39,12 +38,6 @@ def episodes(saved: float, predictor: str = "d1") -> list[Row]:
                 predictor=predictor, mapping_time=round(time * (1 - saved)))
         )  # fmt: skip
     return rows
-
-
-def fill(folder: Path, rows: list[Row]) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    for row in rows:
-        RowFile(folder / "rows.jsonl").append(row)
 
 
 @pytest.fixture(scope="module")
