@@ -27,7 +27,7 @@ def info(
     check_outputs(output, force=force)
     import polars as pl
 
-    from mapreplay.analysis.episodes.summary import summarize
+    from mapreplay.analysis.episodes.summary import row_of_log
     from mapreplay.recorders.log.facts import facts_of
 
     opened = open_log(log)
@@ -38,7 +38,7 @@ def info(
         ("file", "bytes", opened.path.stat().st_size),
         *facts_of(header),
     ]
-    row = summarize(opened, printable(str(opened.path)))
+    row = row_of_log(opened, printable(str(opened.path)))
     # An unfinished log has no end yet.
     facts += [] if not opened.finished else [
         (
