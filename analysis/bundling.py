@@ -26,6 +26,7 @@ from mapreplay.analysis.diagnosis.record import record_of, to_json
 from mapreplay.config import WEIGHTS_ENDING
 from mapreplay.errors import LogError, UsageError
 from mapreplay.pictures import png_of
+from mapreplay.recorders.log.facts import facts_of
 from mapreplay.recorders.log.header import episode_pairs
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.writer import EpisodeWriter
@@ -137,14 +138,12 @@ def _read_me(log: EpisodeLog, diagnosis: Diagnosis) -> str:
     if diagnosis.sealings:
         at = diagnosis.sealings[0].first_step
         what_if = f"    mapreplay branch {LOG_NAME} --at {at} --with truth   what if?\n"
-    weights = log.header.predictor.sha256 or "none"
+    facts = "".join(f"    {printable(f'{f.name}: {f.value}')}\n" for f in facts_of(log.header))
     return (
-        f"An episode on {printable(log.header.floor_plan.id)}, "
-        f"recorded by {printable(log.header.simulator)}.\n"
-        f"Predictor {printable(log.header.predictor.name)}, weights {weights}.\n\n"
+        f"An episode.\n\n{facts}\n"
         f"    mapreplay diagnose {LOG_NAME}   why was it sealed in?\n"
         f"    mapreplay view {LOG_NAME}       look\n"
-        f"    mapreplay verify {LOG_NAME}     prove that the log is true\n"
+        f"    mapreplay verify {LOG_NAME}     check its integrity and reproducibility\n"
         f"{what_if}\n"
         "manifest.json has the SHA-256 of every file.\n"
     )

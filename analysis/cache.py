@@ -14,21 +14,16 @@ from __future__ import annotations
 import hashlib
 import os
 import stat
-import sys
 import tempfile
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import BinaryIO, Final
 
+from mapreplay.source_digest import code_digest
+
 MAX_BYTES: Final = 1 << 30
 """Of a cache; beyond, what was not used for longest is removed."""
-_PACKAGE: Final = Path(__file__).absolute().parents[1]
-"""The folder of mapreplay. Not resolved: in a source tree this module is behind a link."""
-_LIBRARIES: Final = ("numpy", "numba", "opencv-python-headless", "polars", "scipy", "torch")
-"""What numbers are computed and kept with."""
 _FORMAT: Final = b"mapreplay cache 1\0"
 _BLOCK: Final = 1 << 20
 
@@ -136,33 +131,6 @@ def key_of(*parts: str | Path) -> str:
                     inner.update(block)
         digest.update(inner.digest())
     return digest.hexdigest()
-
-
-@cache
-def code_digest(package: Path = _PACKAGE) -> bytes | None:
-    """SHA-256 of all code in `package` and of the libraries' versions.
-
-    None if there is no code to be read, so that nobody can tell which code made a result.
-    """
-    digest = hashlib.sha256(sys.version.encode())
-    for library in _LIBRARIES:
-        with suppress(PackageNotFoundError):
-            digest.update(f"{library} {version(library)}\0".encode())
-    found = False
-    for folder, folders, files in os.walk(package, followlinks=True):
-        folders[:] = sorted(set(folders) - {"__pycache__"})
-        for name in sorted(files):
-            if not name.endswith(".py"):
-                continue
-            path = Path(folder, name)
-            try:
-                code = path.read_bytes()
-            except OSError:
-                return None
-            found = True
-            digest.update(f"{path.relative_to(package).as_posix()} {len(code)}\0".encode())
-            digest.update(code)
-    return digest.digest() if found else None
 
 
 def _place(folder: Path, key: str) -> Path:

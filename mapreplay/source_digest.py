@@ -1,15 +1,52 @@
-"""What a result depends on of our own code, found by following imports."""
+"""Digests of our own code, for what is believed only of the same code.
+
+Of all of it for what is kept in a cache; of what some modules import for what is published, which
+holds as long as that does.
+"""
 
 from __future__ import annotations
 
 import ast
 import hashlib
+import os
+import sys
+from contextlib import suppress
 from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Final
 
 _PACKAGE: Final = "mapreplay"
-_ROOT: Final = Path(__file__).parent
+_ROOT: Final = Path(__file__).absolute().parent
+_LIBRARIES: Final = ("numpy", "numba", "opencv-python-headless", "polars", "scipy", "torch")
+"""What numbers are computed and kept with."""
+
+
+@cache
+def code_digest(package: Path = _ROOT) -> bytes | None:
+    """SHA-256 of all code in `package` and of the libraries' versions.
+
+    None if there is no code to be read, so that nobody can tell which code made a result.
+    """
+    digest = hashlib.sha256(sys.version.encode())
+    for library in _LIBRARIES:
+        with suppress(PackageNotFoundError):
+            digest.update(f"{library} {version(library)}\0".encode())
+    found = False
+    for folder, folders, files in os.walk(package, followlinks=True):
+        folders[:] = sorted(set(folders) - {"__pycache__"})
+        for name in sorted(files):
+            if not name.endswith(".py"):
+                continue
+            path = Path(folder, name)
+            try:
+                code = path.read_bytes()
+            except OSError:
+                return None
+            found = True
+            digest.update(f"{path.relative_to(package).as_posix()} {len(code)}\0".encode())
+            digest.update(code)
+    return digest.digest() if found else None
 
 
 @cache

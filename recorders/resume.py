@@ -10,7 +10,7 @@ from mapreplay.episode import prepare_episode
 from mapreplay.errors import LogError
 from mapreplay.predictors import Predictor
 from mapreplay.recorders.batch import Task
-from mapreplay.recorders.log.header import episode_pairs
+from mapreplay.recorders.log.facts import header_differences
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.step import EpisodeHeader
 
@@ -53,7 +53,8 @@ def _is_finished(path: Path, header: EpisodeHeader, *, force: bool) -> bool:
             raise LogError(f"{path}: {log.state}")
         others = header_differences(log.header, header)
         if others:
-            raise LogError(f"{path}: a log of another episode ({'; '.join(others)})")
+            said = "; ".join(f"{fact.what} {fact.a}, here {fact.b}" for fact in others)
+            raise LogError(f"{path}: a log of another episode ({said})")
     except LogError as error:
         if force:
             return False
@@ -61,35 +62,3 @@ def _is_finished(path: Path, header: EpisodeHeader, *, force: bool) -> bool:
             f"{error}; choose another --out, move it away, or overwrite it with --force"
         ) from None
     return True
-
-
-def header_differences(there: EpisodeHeader, here: EpisodeHeader) -> list[str]:
-    """In what a log differs from the one that would be written, each in a few words."""
-    then, now = _facts(there), _facts(here)
-    return [
-        f"{name} {then.get(name, 'none')}, here {now.get(name, 'none')}"
-        for name in (then | now)
-        if then.get(name) != now.get(name)
-    ]
-
-
-def _facts(header: EpisodeHeader) -> dict[str, str]:
-    """Everything that a header says, by a name for people."""
-    config = {
-        key.replace("_", "-"): str(value)
-        for key, value in header.config.model_dump(mode="json").items()
-    }
-    pairs = episode_pairs(header)
-    said_otherwise = {
-        "config", "versions", "crc32", "seed", "start", "max_steps", "predictor",
-        "predictor_sha256",
-    }  # fmt: skip
-    return {
-        **config,
-        **{key.replace("_", " "): pairs[key] for key in pairs if key not in said_otherwise},
-        "start cell": pairs["start"],
-        "budget": str(header.max_steps),
-        "predictor": header.predictor.name,
-        "weights": header.predictor.sha256[:12] or "none",
-        **{f"version of {name}": version for name, version in header.versions},
-    }

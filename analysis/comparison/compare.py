@@ -18,7 +18,7 @@ import polars as pl
 
 from mapreplay.analysis.comparison.groups import Group, Grouping
 from mapreplay.analysis.episodes import curves
-from mapreplay.analysis.episodes.corpus import LoggedEpisode, Place
+from mapreplay.analysis.episodes.corpus import LoggedEpisode, Start
 from mapreplay.analysis.episodes.curves import area
 from mapreplay.analysis.reporting.wording import counted
 from mapreplay.analysis.stats.estimates import (
@@ -166,7 +166,7 @@ class Comparison:
     target: float
     budgets: tuple[int, ...]
     """Of each place."""
-    places: tuple[Place, ...]
+    places: tuple[Start, ...]
     floor_plans: tuple[str, ...]
     """The id of each place's floor plan, with its start where one plan has several."""
     groups: tuple[GroupResult, ...]
@@ -177,8 +177,8 @@ class Comparison:
     all_alike: TestResult | None
     """Friedman's test of the mapping times, with three groups or more."""
     notes: tuple[str, ...]
-    """What was left out, what else differs, and what the data cannot show."""
-    episodes: Mapping[str, Mapping[Place, list[LoggedEpisode]]]
+    """What was left out, what else differs, and what the data cannot tell."""
+    episodes: Mapping[str, Mapping[Start, list[LoggedEpisode]]]
     """By group and place."""
 
     def incidence(self, group: GroupResult, at: Sequence[float]) -> list[Proportion]:
@@ -263,7 +263,7 @@ def _observes_only(group: Group) -> bool:
     return config.plan_on is config.build is MapKind.OBSERVED
 
 
-def _unpaired(groups: Sequence[Group], shared: set[Place]) -> list[str]:
+def _unpaired(groups: Sequence[Group], shared: set[Start]) -> list[str]:
     notes = []
     for group in groups:
         left = [runs[0].row.floor_plan for p, runs in group.places.items() if p not in shared]
@@ -273,7 +273,7 @@ def _unpaired(groups: Sequence[Group], shared: set[Place]) -> list[str]:
     return notes
 
 
-_Runs = Mapping[Place, list[LoggedEpisode]]
+_Runs = Mapping[Start, list[LoggedEpisode]]
 
 
 def _target(used: Mapping[str, _Runs], asked: float | None, notes: list[str]) -> float:
@@ -294,7 +294,7 @@ def _target(used: Mapping[str, _Runs], asked: float | None, notes: list[str]) ->
     return least
 
 
-def _budget(used: Mapping[str, _Runs], place: Place, terms: Terms, notes: list[str]) -> int:
+def _budget(used: Mapping[str, _Runs], place: Start, terms: Terms, notes: list[str]) -> int:
     budgets = {e.header.max_steps for runs in used.values() for e in runs[place]}
     least = min(budgets)
     if terms.budget is not None:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
-from mapreplay.analysis.episodes.corpus import LoggedEpisode, PairKey, Place
+from mapreplay.analysis.episodes.corpus import LoggedEpisode, PairKey, Start
 from mapreplay.analysis.episodes.summary import UNFINISHED
 from mapreplay.analysis.reporting.wording import counted
 from mapreplay.config import EpisodeConfig
@@ -41,11 +41,11 @@ class Group:
     episodes: tuple[LoggedEpisode, ...]
 
     @property
-    def places(self) -> dict[Place, list[LoggedEpisode]]:
+    def places(self) -> dict[Start, list[LoggedEpisode]]:
         """The runs of each floor plan and start, in order."""
-        found: dict[Place, list[LoggedEpisode]] = {}
+        found: dict[Start, list[LoggedEpisode]] = {}
         for episode in self.episodes:
-            found.setdefault(episode.place, []).append(episode)
+            found.setdefault(episode.start, []).append(episode)
         return found
 
 

@@ -13,9 +13,10 @@ from enum import StrEnum
 from typing import Final
 
 from mapreplay.grid import Cell
+from mapreplay.recorders.log.facts import Said, header_differences
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.pictures.replay import side_by_side
-from mapreplay.step import MAX_RIVALS, Cells, Decision, EpisodeHeader, Step, differences
+from mapreplay.step import MAX_RIVALS, Cells, Decision, Step, differences
 
 
 class Layer(StrEnum):
@@ -217,34 +218,3 @@ def _order(decision: Decision) -> list[tuple[object, ...]]:
 
 def _same_cells(a: Cells, b: Cells) -> bool:
     return a.shape == b.shape and bool((a == b).all())
-
-
-@dataclass(frozen=True)
-class Said:
-    """Something of the whole episode that two logs say otherwise."""
-
-    what: str
-    """A key of the configuration, or "floor plan", "start", "versions", ..."""
-    a: str
-    b: str
-
-
-def header_differences(a: EpisodeHeader, b: EpisodeHeader) -> tuple[Said, ...]:
-    """What two headers say otherwise; of the configuration, key by key."""
-    of_a, of_b = _facts(a), _facts(b)
-    return tuple(Said(name, of_a[name], of_b[name]) for name in of_a if of_a[name] != of_b[name])
-
-
-def _facts(header: EpisodeHeader) -> dict[str, str]:
-    facts = {key: str(value) for key, value in header.config.model_dump(mode="json").items()}
-    del facts["start"]  # the one that was asked for; what it came to follows
-    branch, weights = header.branch, header.predictor.sha256
-    return facts | {
-        "floor plan": f"{header.floor_plan.id} ({header.floor_plan.sha256[:12]})",
-        "start": str(tuple(header.start)),
-        "max_steps": str(header.max_steps),
-        "predictor": f"{header.predictor.name} ({weights[:12]})" if weights else "none",
-        "simulator": header.simulator,
-        "versions": ", ".join(f"{name} {version}" for name, version in header.versions),
-        "branch": f"step {branch.step}: {', '.join(branch.changes)}" if branch else "none",
-    }

@@ -10,11 +10,12 @@ from typing import Final, NamedTuple
 
 import polars as pl
 
-from mapreplay.analysis.diff.divergence import Layer, find_partings, header_differences
+from mapreplay.analysis.diff.divergence import Layer, find_partings
 from mapreplay.analysis.episodes.corpus import LoggedEpisode
 from mapreplay.analysis.pool import WorkerError, map_unordered
 from mapreplay.errors import MapreplayError
 from mapreplay.recorders.log.blame import UnforeseenError, blaming
+from mapreplay.recorders.log.facts import header_differences
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.text import printable
 
@@ -67,7 +68,7 @@ def _diff(pair: tuple[LoggedEpisode, LoggedEpisode]) -> PairDiff | MapreplayErro
     except MapreplayError as error:
         return error
     budget = min((e.header.budget for e in pair if e.header.budget is not None), default=None)
-    time_a, time_b = (_within(e, budget) for e in pair)
+    time_a, time_b = (_within(e.row.mapping_time, budget) for e in pair)
     return PairDiff(
         floor_plan=a.row.floor_plan,
         seed=a.row.seed,
@@ -113,15 +114,9 @@ def _found(a: EpisodeLog, b: EpisodeLog) -> _Found:
     return _Found(same, step, None if step is None else "scalars", apart - 1 if apart else None)
 
 
-def _within(episode: LoggedEpisode, budget: int | None) -> int | None:
-    """Mapping time under a budget, all of which it takes if the target was not reached.
-
-    None where it is undefined: without a true map, or not reached without a budget.
-    """
-    if not episode.header.floor_plan.has_truth:
-        return None
-    numbers = (episode.row.mapping_time, budget)
-    return min((number for number in numbers if number is not None), default=None)
+def _within(time: int | None, budget: int | None) -> int | None:
+    """A mapping time under a budget, all of which it takes if the target was not reached."""
+    return min((number for number in (time, budget) if number is not None), default=None)
 
 
 _DTYPES: Final = {

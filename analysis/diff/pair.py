@@ -11,10 +11,11 @@ import numpy as np
 import polars as pl
 
 from mapreplay.analysis.diff.causes import Cause, causes, outcome_name
-from mapreplay.analysis.diff.divergence import Said, find_partings
+from mapreplay.analysis.diff.divergence import find_partings
 from mapreplay.analysis.episodes.corpus import LoggedEpisode, episode_of
 from mapreplay.analysis.episodes.curves import Curve, first_reached
 from mapreplay.errors import UsageError
+from mapreplay.recorders.log.facts import Said
 from mapreplay.recorders.log.reader import EpisodeLog
 
 LEVELS: Final = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mapreplay.analysis.episodes.curves import Curve
-from mapreplay.analysis.episodes.summary import EpisodeRow, summarize
+from mapreplay.analysis.episodes.summary import EpisodeRow, row_of_log
 from mapreplay.analysis.pool import WorkerError, map_unordered
 from mapreplay.config import MapKind
 from mapreplay.errors import MapreplayError
@@ -26,7 +26,7 @@ from mapreplay.step import EpisodeHeader, Mode
 from mapreplay.text import printable
 
 
-class Place(NamedTuple):
+class Start(NamedTuple):
     """Where an episode is run, beside its seed."""
 
     floor_plan_sha256: str
@@ -37,7 +37,7 @@ class Place(NamedTuple):
 class PairKey(NamedTuple):
     """What two episodes of a pair have in common."""
 
-    place: Place
+    start: Start
     seed: int
 
 
@@ -64,15 +64,15 @@ class LoggedEpisode:
     """What it was read from."""
 
     @property
-    def place(self) -> Place:
+    def start(self) -> Start:
         """Floor plan and start."""
         header = self.header
-        return Place(header.floor_plan.sha256, *header.start)
+        return Start(header.floor_plan.sha256, *header.start)
 
     @property
     def key(self) -> PairKey:
         """What it is paired by."""
-        return PairKey(self.place, self.header.config.seed)
+        return PairKey(self.start, self.header.config.seed)
 
 
 def read_episode(path: Path) -> LoggedEpisode:
@@ -99,7 +99,7 @@ def episode_of(log: EpisodeLog) -> LoggedEpisode:
     return LoggedEpisode(
         path=log.path,
         header=log.header,
-        row=summarize(log, printable(str(log.path))),
+        row=row_of_log(log, printable(str(log.path))),
         coverage=curve(f"coverage_{built}"),
         correct=curve(f"correct_coverage_{built}"),
         f1=curve("f1"),

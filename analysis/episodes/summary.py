@@ -65,10 +65,10 @@ def episode_row(path: Path) -> EpisodeRow:
     Raises:
         LogError: it cannot be read.
     """
-    return summarize(EpisodeLog(path), printable(str(path)))
+    return row_of_log(EpisodeLog(path), printable(str(path)))
 
 
-def summarize(log: EpisodeLog, file: str) -> EpisodeRow:
+def row_of_log(log: EpisodeLog, file: str) -> EpisodeRow:
     """Summarize an open log; `file` is what the row calls it."""
     config, table = log.header.config, log.table()
     # An episode that was killed early may have no complete step.

@@ -23,10 +23,10 @@ from mapreplay.episode import Episode, StepSink, prepare_episode, record
 from mapreplay.errors import LogError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.predictors import Predictor, kept_predictor
+from mapreplay.recorders.log.facts import header_differences
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.scalars import ScalarsWriter
 from mapreplay.recorders.log.writer import EpisodeWriter
-from mapreplay.recorders.resume import header_differences
 from mapreplay.source_digest import source_digest
 from mapreplay.step import EpisodeHeader
 
@@ -104,9 +104,8 @@ class Shelf:
         log = EpisodeLog(path)
         others = header_differences(log.header, header)
         if others:
-            raise LogError(
-                f"{path}: a log of another episode ({'; '.join(others)}); choose another --out"
-            )
+            said = "; ".join(f"{fact.what} {fact.a}, here {fact.b}" for fact in others)
+            raise LogError(f"{path}: a log of another episode ({said}); choose another --out")
         return log.finished and (log.has_steps or not self.whole)
 
 

@@ -190,9 +190,9 @@ def _against(
     episodes: Sequence[LoggedEpisode], reference: Sequence[LoggedEpisode]
 ) -> tuple[GroupResult, GroupResult | None]:
     """An arm and the reference on the floor plans that they share; None without any."""
-    places = {episode.place for episode in reference}
+    places = {episode.start for episode in reference}
     groups = [Group("arm", tuple(episodes))]
-    if any(episode.place in places for episode in episodes):
+    if any(episode.start in places for episode in episodes):
         groups.append(Group("reference", tuple(reference)))
     found = compare(Grouping(tuple(groups), (), ()), "arm", measures=_MEASURES).groups
     return found[0], found[1] if len(found) > 1 else None

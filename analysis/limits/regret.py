@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from functools import lru_cache
 
 from mapreplay.analysis.comparison.compare import Measure, Terms, mapping_time
-from mapreplay.analysis.episodes.corpus import LoggedEpisode, Place
+from mapreplay.analysis.episodes.corpus import LoggedEpisode, Start
 from mapreplay.analysis.limits.measure import reference_moves
 from mapreplay.errors import FloorPlanError
 from mapreplay.floorplan import FloorPlan
@@ -30,10 +30,10 @@ def reference_time(episode: LoggedEpisode, target: float) -> float:
 
 def reference_times(episodes: Iterable[LoggedEpisode], target: float) -> Iterator[float]:
     """`reference_time` of each floor plan and start, once; a second on the first time."""
-    seen = set[Place]()
+    seen = set[Start]()
     for episode in episodes:
-        if episode.place not in seen:
-            seen.add(episode.place)
+        if episode.start not in seen:
+            seen.add(episode.start)
             yield reference_time(episode, target)
 
 

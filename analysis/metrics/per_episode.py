@@ -8,7 +8,7 @@ from typing import Final
 import polars as pl
 
 from mapreplay.analysis.episodes.curves import MILESTONES, area, first_reached
-from mapreplay.analysis.episodes.summary import episode_frame, summarize
+from mapreplay.analysis.episodes.summary import episode_frame, row_of_log
 from mapreplay.analysis.metrics.measure import CHANGES, RECORDED, Measurements, prediction_scores
 from mapreplay.config import MapKind
 from mapreplay.recorders.log.reader import EpisodeLog
@@ -32,7 +32,7 @@ def episode_metrics(
     of `CHANGES`; and how many ``disagreements`` with the recording there are, and the first.
     What is undefined is null.
     """
-    row = episode_frame([summarize(log, "")])
+    row = episode_frame([row_of_log(log, "")])
     steps = measured.steps
     last = [*(name for name in RECORDED if name not in _IN_ROW), *further]
     numbers: dict[str, float | int | None] = {

@@ -130,7 +130,7 @@ def _regret(episodes: list[LoggedEpisode], target: float | None) -> Measure:
     from mapreplay.cli.progress import progress_bar
 
     target = target or min(episode.header.config.coverage for episode in episodes)
-    count = len({episode.place for episode in episodes})
+    count = len({episode.start for episode in episodes})
     with progress_bar() as bar:
         for _ in bar.track(reference_times(episodes, target), count, description="references"):
             pass

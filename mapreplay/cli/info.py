@@ -27,36 +27,18 @@ def info(
     check_outputs(output, force=force)
     import polars as pl
 
-    from mapreplay.analysis.episodes.summary import summarize
+    from mapreplay.analysis.episodes.summary import row_of_log
+    from mapreplay.recorders.log.facts import facts_of
 
     opened = open_log(log)
-    header, plan = opened.header, opened.header.floor_plan
+    header = opened.header
     facts: list[tuple[str, str, object]] = [
         ("file", "finished", opened.finished),
         ("file", "state", str(opened.state)),
         ("file", "bytes", opened.path.stat().st_size),
-        ("floor plan", "id", plan.id),
-        ("floor plan", "cells", f"{plan.shape[0]} x {plan.shape[1]}"),
-        ("floor plan", "resolution", f"{plan.resolution} m a cell"),
-        ("floor plan", "explorable cells", int(opened.header.explorable.sum())),
-        ("floor plan", "true map", "known" if plan.has_truth else "not known"),
-        ("floor plan", "sha256", plan.sha256),
-        ("agent", "start", "row {}, col {}".format(*header.start)),
-        ("agent", "budget", "none" if header.budget is None else f"{header.budget} steps"),
-        ("agent", "simulator", header.simulator),
-        ("predictor", "name", header.predictor.name),
-        ("predictor", "sha256", header.predictor.sha256 or "-"),
+        *facts_of(header),
     ]
-    facts += [("config", key, value) for key, value in header.config.model_dump(mode="json").items()
-              if key not in {"predictor", "start", "max_steps"}]  # fmt: skip
-    if header.branch is not None:
-        facts += [
-            ("branch", "parent's sha256", header.branch.parent_sha256),
-            ("branch", "step", header.branch.step),
-            ("branch", "changes", ", ".join(header.branch.changes)),
-        ]
-    facts += [("version", name, version) for name, version in header.versions]
-    row = summarize(opened, printable(str(opened.path)))
+    row = row_of_log(opened, printable(str(opened.path)))
     # An unfinished log has no end yet.
     facts += [] if not opened.finished else [
         (

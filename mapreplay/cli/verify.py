@@ -56,7 +56,7 @@ def verify(
         raise UsageError("verify: choose one of --rerun and --rerun-from")
     if predictor and not rerun and rerun_from is None:
         raise UsageError("verify: --predictor is for --rerun and --rerun-from")
-    from mapreplay.analysis.episodes.summary import Condition, summarize
+    from mapreplay.analysis.episodes.summary import Condition, row_of_log
     from mapreplay.recorders.log.blame import blaming
     from mapreplay.recorders.log.find import find_logs
     from mapreplay.recorders.log.reader import EpisodeLog
@@ -71,7 +71,7 @@ def verify(
             with blaming(path):
                 log = EpisodeLog(path)
                 if conditions:
-                    row = summarize(log, printable(str(path)))
+                    row = row_of_log(log, printable(str(path)))
                     if not all(condition.holds(row) for condition in conditions):
                         continue
                 results[printable(str(log.path))] = check(log)

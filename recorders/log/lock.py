@@ -8,34 +8,30 @@ from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
-if sys.platform == "win32":
 
-    def lock(file: BinaryIO) -> bool:  # noqa: ARG001
-        """True: there are no such locks."""
-        return True
+def lock(file: BinaryIO) -> bool:
+    """Lock `file` until it is closed; False if another writer has it.
 
-    def move(file: BinaryIO, source: Path, target: Path) -> None:
-        """Close `file`, which is at `source`, and rename it; an open one cannot be renamed."""
-        file.close()
-        source.replace(target)
+    True also where there are no such locks: on Windows, and on some network file systems.
+    """
+    if sys.platform != "win32":
+        import fcntl
 
-else:
-    import fcntl
-
-    def lock(file: BinaryIO) -> bool:
-        """Lock `file` until it is closed; False if another writer has it."""
         try:
             fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             return False
-        except OSError:  # some network file systems have no locks
-            return True
-        return True
+        except OSError:
+            pass
+    return True
 
-    def move(file: BinaryIO, source: Path, target: Path) -> None:
-        """Rename `file`, which is at `source`, while it is locked, and close it."""
-        source.replace(target)
+
+def move(file: BinaryIO, source: Path, target: Path) -> None:
+    """Rename `file`, which is at `source`, while it is locked, and close it."""
+    if sys.platform == "win32":  # where an open file cannot be renamed
         file.close()
+    source.replace(target)
+    file.close()
 
 
 def is_locked(path: Path) -> bool:

@@ -26,7 +26,7 @@ from mapreplay.recorders.log.mcap.index import (
     read_index,
     read_summary,
 )
-from mapreplay.recorders.log.mcap.reader import DAMAGE, Block, Place, read_block, stream
+from mapreplay.recorders.log.mcap.reader import DAMAGE, Block, Span, read_block, stream
 from mapreplay.recorders.log.reader import STEP_TOPICS, EpisodeLog, reason_of
 from mapreplay.recorders.log.survey import Survey
 from mapreplay.step import Step
@@ -122,7 +122,7 @@ def _search(file: BinaryIO) -> Index:
     return replace(index, blocks=blocks, end=end, size=size)
 
 
-def _plausible(file: BinaryIO, size: int, known: Sequence[int]) -> Iterator[Place]:
+def _plausible(file: BinaryIO, size: int, known: Sequence[int]) -> Iterator[Span]:
     """The records of a damaged file; where one makes no sense, from the next that does.
 
     Args:
@@ -143,7 +143,7 @@ def _plausible(file: BinaryIO, size: int, known: Sequence[int]) -> Iterator[Plac
         offset = _next_place(file, offset + 1, size, known)
 
 
-def _place_at(file: BinaryIO, offset: int, size: int) -> Place | None:
+def _place_at(file: BinaryIO, offset: int, size: int) -> Span | None:
     """The record at `offset`; a chunk also where only its prefix is damaged."""
     file.seek(offset)
     head = file.read(_PREFIX.size)
@@ -152,7 +152,7 @@ def _place_at(file: BinaryIO, offset: int, size: int) -> Place | None:
     opcode, length = _PREFIX.unpack(head)
     if (chunk := chunk_at(file, offset, size)) is not None:
         return chunk
-    place = Place(opcode, offset, _PREFIX.size + length)
+    place = Span(opcode, offset, _PREFIX.size + length)
     is_known = opcode in _OTHERS or 0 < opcode <= max(Opcode)
     if not is_known or place.end > size or _FIXED.get(Opcode(opcode), length) != length:
         return None

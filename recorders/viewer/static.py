@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
+from mapreplay.recorders.log.facts import facts_of
 from mapreplay.recorders.pictures.annotations import Mark
 from mapreplay.recorders.pictures.canvas import Sheet
 from mapreplay.recorders.pictures.layers import COMPARED, curves, has_truth
@@ -157,23 +158,7 @@ def send_divergence(recording: rr.RecordingStream, name: str, step: int) -> None
 
 def describe(header: EpisodeHeader) -> str:
     """The header as a Markdown document."""
-    config, plan = header.config, header.floor_plan
-    height, width = plan.shape
-    rows = {
-        "floor plan": plan.id,
-        "size": f"{height} x {width} cells of {plan.resolution:g} m",
-        "start (row, col)": f"{header.start.row}, {header.start.col}",
-        "planner": config.planner,
-        "predictor": header.predictor.name,
-        "plan on / build": f"{config.plan_on} / {config.build}",
-        "fail-safe": "on" if config.fail_safe else "off",
-        "target": f"coverage {config.coverage:g} of the {config.build} map",
-        "delta free / occupied": f"{config.delta_free:g} / {config.delta_occupied:g}",
-        "sensor": f"{config.rays} rays of {config.reach} cells",
-        "seed": str(config.seed),
-        "at most": "no limit" if header.budget is None else f"{header.budget} steps",
-        "simulator": header.simulator,
-        **dict(header.versions),
-    }
-    heading, *rest = (f"| {markdown(key)} | {markdown(value)} |" for key, value in rows.items())
+    heading, *rest = (
+        f"| {markdown(fact.name)} | {markdown(fact.short)} |" for fact in facts_of(header)
+    )
     return "\n".join([heading, "|---|---|", *rest, ""])

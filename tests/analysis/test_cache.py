@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from mapreplay.analysis import cache
-from mapreplay.analysis.cache import Cache, code_digest, key_of, user_cache
+from mapreplay import source_digest
+from mapreplay.analysis.cache import Cache, key_of, user_cache
+from mapreplay.source_digest import code_digest
 
 KEY, OTHER = "ab" + "0" * 62, "cd" + "1" * 62
 
@@ -181,8 +182,8 @@ def test_every_file_of_code_counts(tmp_path: Path) -> None:
 def test_the_code_of_planners_recorders_and_analyses_counts() -> None:
     """By the tree itself: a folder that is no longer below the package would be missed."""
     found = {
-        Path(folder, name).relative_to(cache._PACKAGE).as_posix()
-        for folder, _, names in os.walk(cache._PACKAGE, followlinks=True)
+        Path(folder, name).relative_to(source_digest._ROOT).as_posix()
+        for folder, _, names in os.walk(source_digest._ROOT, followlinks=True)
         for name in names
     }
     assert {"planners/nearest.py", "recorders/log/codec.py", "analysis/limits/tour.py"} <= found
@@ -194,6 +195,6 @@ def test_another_version_of_a_library_is_another_digest(
     folder = package(tmp_path)
     before = code_digest(folder)
     code_digest.cache_clear()
-    monkeypatch.setattr(cache, "version", lambda library: "99")
+    monkeypatch.setattr(source_digest, "version", lambda library: "99")
     assert code_digest(folder) != before
     code_digest.cache_clear()

@@ -106,7 +106,8 @@ def test_the_same_episode_twice_is_identical_and_one_bit_is_not(
     versions = replace(base.header, versions=(("mapreplay", "9"),))
     newer = find_partings(base, write(tmp_path / "newer.mcap", versions, list(base)))
     assert newer.first == {}
-    assert [(s.what, s.b) for s in newer.headers] == [("versions", "mapreplay 9")]
+    assert ("version mapreplay", "9") in [(s.what, s.b) for s in newer.headers]
+    assert {s.what.split()[0] for s in newer.headers} == {"version"}
     assert not newer.identical
 
 
@@ -126,7 +127,7 @@ def test_who_has_a_larger_budget_goes_on(tmp_path: Path) -> None:
     partings = find_partings(*logs)
     assert partings.layer is Layer.END
     assert partings.first[Layer.END].index == 3
-    assert {s.what for s in partings.headers} == {"max_steps"}
+    assert {s.what for s in partings.headers} == {"budget"}
     cause = diff_logs(*logs).cause
     assert cause is not None
     assert cause.text == "A has ended, out_of_steps; the other goes on"

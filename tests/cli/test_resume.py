@@ -65,9 +65,9 @@ def test_it_starts_where_there_is_nothing(
         (("--coverage", 0.5), "a log of another episode (coverage 0.98, here 0.5);"),
         (
             ("--max-steps", 13),
-            "a log of another episode (max-steps 12, here 13; budget 12, here 13);",
+            "a log of another episode (budget 12 steps, here 13 steps);",
         ),
-        (("--start", "3,3"), "a log of another episode (start None, here [3, 3]; start cell ["),
+        (("--start", "3,3"), "a log of another episode (start row "),
     ],
 )
 def test_logs_of_another_run_are_refused_before_anything_is_recorded(
@@ -161,7 +161,7 @@ def test_logs_of_other_plans_weights_or_versions_are_refused(
     with monkeypatch.context() as patch:
         later = tuple((name, "9.9" if name == "mapreplay" else v) for name, v in versions())
         patch.setattr("mapreplay.episode.versions", lambda: later)
-        assert f"(version of mapreplay {dict(versions())['mapreplay']}, here 9.9);" in refused()
+        assert f"(version mapreplay {dict(versions())['mapreplay']}, here 9.9);" in refused()
     with monkeypatch.context() as patch:
         patch.setattr(NoPredictor, "identity", PredictorIdentity("none", 64 * "1"))
-        assert "(weights none, here 111111111111);" in refused()
+        assert "(weights -, here 111111111111);" in refused()

@@ -35,7 +35,7 @@ from mapreplay.recorders.log.mcap.reader import (
     DAMAGE,
     Block,
     Channels,
-    Place,
+    Span,
     body_of,
     places,
     read_chunk,
@@ -232,7 +232,7 @@ def walk(file: BinaryIO, size: int) -> Index:
     index = Index(*_read_header(file), size, 0, is_closed=False)
     end = len(MCAP0_MAGIC)
     is_closed = False
-    loose: Place | None = None  # records without a chunk, all together
+    loose: Span | None = None  # records without a chunk, all together
     counts = Counter[int]()
     for place in places(file, end, size):
         counts[place.opcode] += 1
@@ -242,7 +242,7 @@ def walk(file: BinaryIO, size: int) -> Index:
             loose = None
         end = place.end
         if place.opcode in _LOOSE:
-            loose = Place(0, *(loose or place)[1:])
+            loose = Span(0, *(loose or place)[1:])
             loose = loose._replace(length=place.end - loose.offset)
         elif place.opcode == Opcode.CHUNK:
             index.blocks.append(Block(*_ANYWHERE, place.offset, place.length))
@@ -311,7 +311,7 @@ def tail_of(file: BinaryIO, index: Index) -> Tail | None:
     return Tail(size, "") if index.is_closed else None
 
 
-def _name_of(file: BinaryIO, place: Place, before: int) -> str:
+def _name_of(file: BinaryIO, place: Span, before: int) -> str:
     """The name that stands in a record after `before` bytes of its body."""
     file.seek(place.end - place.length + 9 + before)
     (length,) = _NAME.unpack(file.read(_NAME.size))
@@ -319,7 +319,7 @@ def _name_of(file: BinaryIO, place: Place, before: int) -> str:
     return file.read(length).decode(errors="replace")
 
 
-def _check_data(file: BinaryIO, place: Place) -> None:
+def _check_data(file: BinaryIO, place: Span) -> None:
     (crc,) = _NAME.unpack_from(body_of(file, place))
     if crc and _crc(file, 0, place.offset) != crc:
         raise ValueError("the checksum of its data does not match")
@@ -344,7 +344,7 @@ def _crc(file: BinaryIO, start: int, stop: int) -> int:
     return crc
 
 
-def find_chunks(file: BinaryIO, start: int, size: int) -> Iterator[Place]:
+def find_chunks(file: BinaryIO, start: int, size: int) -> Iterator[Span]:
     """What looks like a compressed chunk from `start` on, wherever it stands.
 
     A chunk says twice how long it is; here the inner length counts. They end where another MCAP
@@ -357,7 +357,7 @@ def find_chunks(file: BinaryIO, start: int, size: int) -> Iterator[Place]:
             yield place
 
 
-def chunk_at(file: BinaryIO, offset: int, size: int) -> Place | None:
+def chunk_at(file: BinaryIO, offset: int, size: int) -> Span | None:
     """The chunk at `offset`, by what is in it and not by its prefix; None if there is none."""
     file.seek(offset + _PREFIX.size + _TO_COMPRESSION)
     head = file.read(_NAME.size + _LONGEST_NAME + _LENGTH.size)
@@ -366,11 +366,11 @@ def chunk_at(file: BinaryIO, offset: int, size: int) -> Place | None:
         if head.startswith(packed) and len(head) >= len(packed) + _LENGTH.size:
             (length,) = _LENGTH.unpack_from(head, len(packed))
             whole = _PREFIX.size + _TO_COMPRESSION + len(packed) + _LENGTH.size + length
-            return Place(Opcode.CHUNK, offset, whole) if offset + whole <= size else None
+            return Span(Opcode.CHUNK, offset, whole) if offset + whole <= size else None
     return None
 
 
-def is_whole(file: BinaryIO, place: Place) -> bool:
+def is_whole(file: BinaryIO, place: Span) -> bool:
     """Whether the chunk at `place` can be read, and its checksum is right."""
     try:
         read_chunk(body_of(file, place))

@@ -58,7 +58,7 @@ class Record(NamedTuple):
     body: bytes
 
 
-class Place(NamedTuple):
+class Span(NamedTuple):
     """Where a record stands in the file."""
 
     opcode: int
@@ -114,7 +114,7 @@ def read_records(
             return
 
 
-def places(file: BinaryIO, offset: int, size: int) -> Iterator[Place]:
+def places(file: BinaryIO, offset: int, size: int) -> Iterator[Span]:
     """Where the complete records from `offset` on stand, in a file of `size` bytes.
 
     They end with the footer, before a record that the file cuts off, and before what cannot
@@ -124,7 +124,7 @@ def places(file: BinaryIO, offset: int, size: int) -> Iterator[Place]:
         file.seek(offset)
         head = file.read(_PREFIX.size)
         opcode, length = _PREFIX.unpack(head)
-        place = Place(opcode, offset, _PREFIX.size + length)
+        place = Span(opcode, offset, _PREFIX.size + length)
         if opcode == 0 or head.startswith(MCAP0_MAGIC) or place.end > size:
             return
         yield place
@@ -133,7 +133,7 @@ def places(file: BinaryIO, offset: int, size: int) -> Iterator[Place]:
         offset = place.end
 
 
-def body_of(file: BinaryIO, place: Place) -> bytes:
+def body_of(file: BinaryIO, place: Span) -> bytes:
     """The body of the record at `place`.
 
     Raises:
