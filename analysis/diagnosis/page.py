@@ -162,6 +162,7 @@ class HistoryFigure:
             line, seen = colour(number, theme), blame.seen_at
             name = f"({blame.cell.row}, {blame.cell.col})"
             axes.plot(blame.history, color=line, drawstyle="steps-post", label=name)
+            axes.plot([first], [blame.history[first]], "D", color=line, clip_on=False)
             if seen is not None:
                 axes.plot([seen], [blame.history[seen]], "o", color=ink)
         high = float(self.diagnosis.header.at(first).thresholds.occupied_at_least)
