@@ -17,21 +17,18 @@ from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 from typing import Final
 
-import numpy as np
-
 from mapreplay.analysis.diagnosis.annotations import sealing_marks
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, diagnose
 from mapreplay.analysis.diagnosis.paragraph import paragraph, what_if
 from mapreplay.analysis.diagnosis.record import record_of, to_json
 from mapreplay.config import WEIGHTS_ENDING
 from mapreplay.errors import LogError, UsageError
-from mapreplay.pictures import png_of
 from mapreplay.recorders.log.facts import facts_of
 from mapreplay.recorders.log.header import episode_pairs
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.recorders.pictures.layers import MapView
-from mapreplay.recorders.pictures.painter import MapPainter
+from mapreplay.recorders.pictures.painter import map_pngs
 from mapreplay.text import printable, shell_command
 
 SCHEMA: Final = "mapreplay.bundle/1"
@@ -119,12 +116,8 @@ def _picture(log: EpisodeLog, diagnosis: Diagnosis) -> bytes:
     """The fused map at the first sealing with its marks, or at the last step."""
     sealing = diagnosis.sealings[0] if diagnosis.sealings else None
     step = log[sealing.first_step if sealing else -1]
-    table = log.table()
-    walked = table.filter(table["step"] <= step.index).select("row", "col")
-    cells = walked.to_numpy().astype(np.int32)
     marks = sealing_marks(sealing) if sealing else []
-    painter = MapPainter(log.header)
-    return png_of(painter.draw(MapView.FUSED, step, _SIDE, _SIDE, track=cells, marks=marks))
+    return map_pngs(log, step, [MapView.FUSED], _SIDE, marks)[0]
 
 
 def _told(diagnosis: Diagnosis) -> str:

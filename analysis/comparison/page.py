@@ -28,10 +28,9 @@ from mapreplay.analysis.reporting.wording import (
     with_interval,
 )
 from mapreplay.config import MapKind
-from mapreplay.pictures import png_of
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.pictures.layers import MapView
-from mapreplay.recorders.pictures.painter import MapPainter
+from mapreplay.recorders.pictures.painter import map_pngs
 from mapreplay.text import shell_command
 
 EACH: Final = 2
@@ -220,19 +219,14 @@ def _pictures(name: str, episode: LoggedEpisode) -> list[page.Block]:
     if len(log) == 0:
         return []
     step = log[-1]
-    track = log.table().select("row", "col").to_numpy().astype(np.int32)
-    painter = MapPainter(log.header)
     built = MapView.FUSED if log.header.config.build is MapKind.FUSED else MapView.OBSERVED
-    views = [(built, f"{name}: built map after {step.index} steps, {episode.row.outcome}")]
+    captions = {built: f"{name}: built map after {step.index} steps, {episode.row.outcome}"}
     if log.header.floor_plan.has_truth:
-        views.append((MapView.ERROR, f"{name}: errors of its fused map"))
+        captions[MapView.ERROR] = f"{name}: errors of its fused map"
+    pngs = map_pngs(log, step, captions, PIXELS)
     return [
-        page.Illustration(
-            png_of(painter.draw(view, step, PIXELS, PIXELS, track=track)),
-            caption,
-            caption,
-        )
-        for view, caption in views
+        page.Illustration(png, caption, caption)
+        for png, caption in zip(pngs, captions.values(), strict=True)
     ]
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import numpy as np
 from matplotlib.figure import Figure
 
 from mapreplay.analysis.diagnosis import tables
@@ -30,13 +29,11 @@ from mapreplay.analysis.reporting.page import (
     Paragraph,
     Table,
 )
-from mapreplay.pictures import png_of
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.pictures.annotations import mark_colours
 from mapreplay.recorders.pictures.layers import MapView
-from mapreplay.recorders.pictures.painter import MapPainter
+from mapreplay.recorders.pictures.painter import map_pngs
 from mapreplay.recorders.pictures.palette import GREEN, ORANGE, SKY_BLUE, YELLOW, Theme, hex_of
-from mapreplay.step import Cells, Step
 from mapreplay.text import shell_command
 
 SHOWN: Final = 3
@@ -94,21 +91,20 @@ def _counts(found: Sequence[Diagnosis]) -> list[Block]:
 
 def _pictures(path: Path, diagnosis: Diagnosis) -> list[Block]:
     log = EpisodeLog(path)
-    table = log.table()
-    painter = MapPainter(diagnosis.header)
+    views = (MapView.OBSERVED, MapView.FUSED, MapView.ERROR)
     blocks: list[Block] = []
     for sealing in diagnosis.sealings[:SHOWN]:
         step = log[sealing.first_step]
-        walked = table.filter(table["step"] <= step.index).select("row", "col")
-        track = walked.to_numpy().astype(np.int32)
         maps = [
             Illustration(
-                map_png(painter, view, step, sealing, track),
+                png,
                 f"{view.heading} map at step {step.index}, the blocking cells marked",
                 f"{view.heading}, step {step.index}",
                 pixelated=True,
             )
-            for view in (MapView.OBSERVED, MapView.FUSED, MapView.ERROR)
+            for view, png in zip(
+                views, map_pngs(log, step, views, _SIDE, sealing_marks(sealing)), strict=True
+            )
         ]
         blocks.append(Columns(maps))
         blocks.append(Paragraph(legend(sealing)))
@@ -130,21 +126,12 @@ _NAMES: Final = {YELLOW: "yellow", SKY_BLUE: "light blue", GREEN: "green", ORANG
 
 def legend(sealing: Sealing) -> str:
     """What the colours of the marks mean."""
-    marks = sealing_marks(sealing)
-    colours = mark_colours(marks)
-    names = dict.fromkeys(mark.name for mark in marks)
-    said = ", ".join(f"{_NAMES.get(colours[name], 'marked')}: {name}" for name in names)
+    colours = mark_colours(sealing_marks(sealing))
+    said = ", ".join(f"{_NAMES[colour]}: {name}" for name, colour in colours.items())
     return (
         f"Purple: the agent and its trail; {said}; in the error map red: false wall, blue: wall "
         "predicted free."
     )
-
-
-def map_png(
-    painter: MapPainter, view: MapView, step: Step, sealing: Sealing, track: Cells
-) -> bytes:
-    """A map with the marks of a sealing, as PNG."""
-    return png_of(painter.draw(view, step, _SIDE, _SIDE, track=track, marks=sealing_marks(sealing)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,6 +149,7 @@ class HistoryFigure:
             line, seen = colour(number, theme), blame.seen_at
             name = f"({blame.cell.row}, {blame.cell.col})"
             axes.plot(blame.history, color=line, drawstyle="steps-post", label=name)
+            axes.plot([first], [blame.history[first]], "D", color=line, clip_on=False)
             if seen is not None:
                 axes.plot([seen], [blame.history[seen]], "o", color=ink)
         high = float(self.diagnosis.header.at(first).thresholds.occupied_at_least)

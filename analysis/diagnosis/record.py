@@ -29,7 +29,6 @@ def record_of(diagnosis: Diagnosis, reliability: Reliability | None = None) -> d
     """
     config, header = diagnosis.header.config, diagnosis.header
     base = reliability or diagnosis.reliability
-    coverage = diagnosis.coverage
     return {
         "schema": SCHEMA,
         "floor_plan": header.floor_plan.id,
@@ -46,16 +45,7 @@ def record_of(diagnosis: Diagnosis, reliability: Reliability | None = None) -> d
         "outcome": diagnosis.outcome,
         "wall_share": _real(header.floor_plan.wall_share) if header.floor_plan.has_truth else None,
         "sealings": [_sealing(sealing, base) for sealing in diagnosis.sealings],
-        "near_misses": [
-            {
-                "kind": near.kind,
-                "first_step": near.first_step,
-                "last_step": near.last_step,
-                "agent": list(near.agent),
-                "led_to_sealing": near.led_to_sealing,
-            }
-            for near in diagnosis.near_misses
-        ],
+        "near_misses": [_fields(near) for near in diagnosis.near_misses],
         "harms": [
             {
                 "kind": harm.kind,
@@ -66,21 +56,13 @@ def record_of(diagnosis: Diagnosis, reliability: Reliability | None = None) -> d
             }
             for harm in diagnosis.harms
         ],
-        "coverage": coverage
-        and {
-            "claimed": _real(coverage.claimed),
-            "correct": _real(coverage.correct),
-            "false_walls": coverage.false_walls,
-            "false_free": coverage.false_free,
-            "is_short": coverage.is_short,
-        },
+        "coverage": _fields(diagnosis.coverage),
         "notes": list(diagnosis.notes),
     }
 
 
 def _sealing(sealing: Sealing, reliability: Reliability) -> dict[str, Any]:
-    blocking, opening, passage = sealing.blocking, sealing.opening, sealing.passage
-    remedy, viewpoint = sealing.remedy, sealing.remedy.viewpoint
+    blocking, opening, remedy = sealing.blocking, sealing.opening, sealing.remedy
     return {
         "kind": sealing.kind,
         "first_step": sealing.first_step,
@@ -108,27 +90,12 @@ def _sealing(sealing: Sealing, reliability: Reliability) -> dict[str, Any]:
             "parts": opening.parts,
             "unique": opening.unique,
         },
-        "place": passage
-        and {
-            "gap": passage.gap,
-            "length": passage.length,
-            "false_wall": passage.false_wall,
-            "span": passage.span,
-            "thickness": passage.thickness,
-            "distance": _real(passage.distance),
-        },
+        "place": _fields(sealing.passage),
         "blame": [_blame(blame, reliability) for blame in sealing.blame],
         "remedy": {
             "delta_occupied_above": _real(remedy.delta_occupied_above),
             "delta_free_above": _real(remedy.delta_free_above),
-            "view": viewpoint
-            and {
-                "cell": list(viewpoint.cell),
-                "moves": viewpoint.moves,
-                "metres": _real(viewpoint.metres),
-                "sees": viewpoint.sees,
-                "suffices": viewpoint.suffices,
-            },
+            "view": _fields(remedy.viewpoint),
             "fail_safe_moves": remedy.fail_safe_moves,
         },
     }
@@ -152,6 +119,17 @@ def _blame(blame: Blame, reliability: Reliability) -> dict[str, Any]:
         "seen_at": blame.seen_at,
         "history": [_real(p) for p in blame.history.tolist()],
     }
+
+
+def _fields(value: Any) -> dict[str, Any] | None:
+    """The fields of a dataclass of numbers, words and cells; None of None."""
+    return value and {key: _plain(field) for key, field in vars(value).items()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, float):
+        return _real(value)
+    return list(value) if isinstance(value, tuple) else value
 
 
 def _cells(cells: Cells) -> list[list[int]]:

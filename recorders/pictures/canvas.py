@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import cv2
 import matplotlib as mpl
@@ -31,6 +31,15 @@ def font(pixels: int, *, bold: bool = False) -> ImageFont.FreeTypeFont:
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
     # The layout without libraqm: it is the same on every machine.
     return ImageFont.truetype(_FONTS / name, pixels, layout_engine=ImageFont.Layout.BASIC)
+
+
+class Area(NamedTuple):
+    """A part of a sheet, in points."""
+
+    x: float
+    y: float
+    width: float
+    height: float
 
 
 class Sheet:

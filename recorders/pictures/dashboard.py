@@ -9,16 +9,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import nan
-from typing import TYPE_CHECKING, Final, NamedTuple, Self
+from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from mapreplay.errors import UsageError
 from mapreplay.grid import Cell
 from mapreplay.pictures import Picture
 from mapreplay.recorders.pictures.annotations import Mark, shown_at
-from mapreplay.recorders.pictures.canvas import Sheet
+from mapreplay.recorders.pictures.canvas import Area, Sheet
 from mapreplay.recorders.pictures.captions import decision_words, event_words, three_digits
 from mapreplay.recorders.pictures.layers import (
     COMPARED,
@@ -34,11 +33,11 @@ from mapreplay.recorders.pictures.palette import (
     EPISODE_COLOURS,
     LIGHT,
     STATE_COLOURS,
-    Colour,
     Curve,
     State,
     Theme,
 )
+from mapreplay.recorders.pictures.plot import Line, Plot
 from mapreplay.recorders.pictures.replay import Series, first_divergence, names_of
 from mapreplay.step import Cells, Decision, EpisodeHeader, Event, Step
 
@@ -58,8 +57,6 @@ _BELOW: Final = (262.0, 190.0)
 """Minimum height below the legend, for one episode and for two."""
 _WORDS: Final = 340.0
 """Width of the text next to the maps of each of two episodes."""
-_BAND: Final = 17.0
-"""Height of a bar of states."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,9 +82,7 @@ class Filmed:
         track, states, events = list[Cell](), list[State](), list[tuple[int, Event]]()
         scores: dict[Curve, list[float]] = {curve: [] for curve in Curve}
         for step in log.steps():
-            lost = step.index - len(
-                track
-            )  # missing in a recovered log: the agent stays where it was
+            lost = step.index - len(track)  # in a recovered log: the agent stays where it was
             track += [track[-1] if track else step.agent] * lost + [step.agent]
             states += [states[-1] if states else state_of(step)] * lost + [state_of(step)]
             events += [(step.index, event) for event in step.events]
@@ -114,15 +109,6 @@ class Filmed:
         return len(self.track) - 1
 
 
-class _Area(NamedTuple):
-    """A part of a frame, in points."""
-
-    x: float
-    y: float
-    width: float
-    height: float
-
-
 class Film:
     """Draws the steps of one episode, or of two one above the other, as frames of one size."""
 
@@ -142,9 +128,7 @@ class Film:
         if not 1 <= len(episodes) <= 2:
             raise UsageError(f"{len(episodes)} episodes; a picture shows one or two")
         if not all(low <= n <= top for n, low, top in zip(size, MIN_SIZE, MAX_SIZE, strict=True)):
-            raise UsageError(
-                f"{size[0]}x{size[1]}: a picture must have 640x360 to 7680x4320 pixels"
-            )
+            raise UsageError(f"{size[0]}x{size[1]}: a picture has 640x360 to 7680x4320 pixels")
         self._episodes = episodes
         self._theme = theme
         self._unit = size[0] / WIDTH
@@ -152,9 +136,10 @@ class Film:
         headers = [episode.header for episode in episodes]
         self._names = names_of(headers) if len(episodes) > 1 else [""]
         self._legend = entries(headers, [mark for e in episodes for mark in e.marks])
-        self._divergence = (
-            first_divergence(episodes[0].log, episodes[1].log) if len(episodes) > 1 else None
-        )
+        divergence = first_divergence(*(e.log for e in episodes)) if len(episodes) > 1 else None
+        labels = [f"{name[:1]} state".strip() for name in self._names]
+        states = [(label, e.states) for label, e in zip(labels, episodes, strict=True)]
+        self._plot = Plot(self.last, states, divergence, theme)
 
     @property
     def last(self) -> int:
@@ -195,15 +180,15 @@ class Film:
         room = self._height - _HEAD - legend - _BELOW[rows - 1]
         row_height = min(room / rows, self._fitting(width - beside))
         for row, (episode, step) in enumerate(zip(self._episodes, steps, strict=True)):
-            area = _Area(_MARGIN, _HEAD + row * row_height, width - beside, row_height - 8)
+            area = Area(_MARGIN, _HEAD + row * row_height, width - beside, row_height - 8)
             self._draw_maps(sheet, area, episode, step, self._names[row][:1])
             if beside:
-                words = _Area(WIDTH - _MARGIN - _WORDS, area.y, _WORDS, area.height)
+                words = Area(WIDTH - _MARGIN - _WORDS, area.y, _WORDS, area.height)
                 self._draw_words(sheet, words, row, step)
         top = _HEAD + rows * row_height
         draw_legend(sheet, _MARGIN, top + LINE / 2, width, self._legend, self._theme)
         top += legend + 6
-        below = _Area(_MARGIN, top, width, self._height - top - _MARGIN)
+        below = Area(_MARGIN, top, width, self._height - top - _MARGIN)
         if rows == 1:
             self._draw_below_one(sheet, below, steps[0], index)
         else:
@@ -240,14 +225,14 @@ class Film:
         sheet.text(right - width / 2, y, state, _TEXT, (0, 0, 0), bold=True, align="m")
 
     def _draw_maps(
-        self, sheet: Sheet, area: _Area, episode: Filmed, step: Step, letter: str
+        self, sheet: Sheet, area: Area, episode: Filmed, step: Step, letter: str
     ) -> None:
         width = (area.width - _GAP * (len(self._columns) - 1)) / len(self._columns)
         for number, view in enumerate(self._columns):
             x = area.x + number * (width + _GAP)
             title = f"{letter}  {view.heading}" if letter else view.heading
             sheet.text(x, area.y + 8, title, _TEXT, self._theme.ink, bold=True)
-            box = _Area(x, area.y + 20, width, area.height - 20)
+            box = Area(x, area.y + 20, width, area.height - 20)
             if view not in map_views(episode.header):
                 sheet.text(x, box.y + 12, "Not in this episode.", _TEXT, self._theme.faint)
                 continue
@@ -262,82 +247,30 @@ class Film:
             # The picture is aligned with its title, at the left of the box.
             sheet.paste(box.x, box.y, picture)
 
-    def _draw_below_one(self, sheet: Sheet, area: _Area, step: Step, index: int) -> None:
+    def _draw_below_one(self, sheet: Sheet, area: Area, step: Step, index: int) -> None:
         episode = self._episodes[0]
         shown = curves(episode.header)
         lines = [
-            _Line(c.label, CURVE_COLOURS[c], episode.scores[c], 0.8 if c in _THIN else 1.5)
+            Line(c.label, CURVE_COLOURS[c], episode.scores[c], 0.8 if c in _THIN else 1.5)
             for c in shown
         ]
-        plot = _Area(area.x, area.y, 0.5 * area.width, area.height)
-        self._draw_plot(sheet, plot, "Scores", lines, index)
+        plot = Area(area.x, area.y, 0.5 * area.width, area.height)
+        self._plot.draw(sheet, plot, "Scores", lines, index)
         x = area.x + plot.width + 28
-        self._draw_words(sheet, _Area(x, area.y, area.x + area.width - x, area.height), 0, step)
+        self._draw_words(sheet, Area(x, area.y, area.x + area.width - x, area.height), 0, step)
 
-    def _draw_below_two(self, sheet: Sheet, area: _Area, index: int) -> None:
+    def _draw_below_two(self, sheet: Sheet, area: Area, index: int) -> None:
         each = (area.width - 2 * _GAP) / len(COMPARED)
         for number, curve in enumerate(COMPARED):
             lines = [
-                _Line(name[:1], EPISODE_COLOURS[i], episode.scores[curve], 1.5)
+                Line(name[:1], EPISODE_COLOURS[i], episode.scores[curve], 1.5)
                 for i, (name, episode) in enumerate(zip(self._names, self._episodes, strict=True))
             ]
             heading = curve.label[0].upper() + curve.label[1:]
-            box = _Area(area.x + number * (each + 2 * _GAP), area.y, each, area.height)
-            self._draw_plot(sheet, box, heading, lines, index)
+            box = Area(area.x + number * (each + 2 * _GAP), area.y, each, area.height)
+            self._plot.draw(sheet, box, heading, lines, index)
 
-    def _draw_plot(
-        self, sheet: Sheet, area: _Area, heading: str, lines: Sequence[_Line], index: int
-    ) -> None:
-        """Curves over the steps, and under them the states, with the cursor through both."""
-        theme = self._theme
-        sheet.text(area.x, area.y + 7, heading, _TEXT, theme.ink, bold=True)
-        labels = [f"{line.name}  {_value(line.values, index)}" for line in lines]
-        names = max(sheet.width_of(label, 11) for label in ["A state", *labels]) + 28
-        bands = _BAND * len(self._episodes)
-        box = _Area(area.x + 26, area.y + 20, area.width - 26 - names, area.height - 44 - bands)
-        self._draw_bands(sheet, _Area(box.x, area.y + area.height - bands, box.width, bands))
-        for share in (0.0, 0.25, 0.5, 0.75, 1.0):
-            y = box.y + box.height * (1 - share)
-            sheet.line(_points([box.x, box.x + box.width], [y, y]), theme.line, 0.8)
-            sheet.text(box.x - 5, y, f"{share:g}", 10, theme.faint, align="r")
-        for tick in _ticks(self.last):
-            x = float(self._x(box, tick))
-            sheet.text(x, box.y + box.height + 9, str(tick), 10, theme.faint, align="m")
-        for line in lines:
-            steps = self._x(box, np.arange(len(line.values)))
-            heights = box.y + box.height * (1 - line.values)
-            sheet.line(_points(steps, heights), line.colour, line.width)
-        if self._divergence is not None:
-            x = float(self._x(box, self._divergence))
-            sheet.line(_points([x, x], [box.y - 5, box.y + box.height]), theme.faint, 1.0)
-            text = f"diverge after step {self._divergence}"
-            left = area.x + sheet.width_of(heading, _TEXT, bold=True) + 14  # above the curves
-            right = box.x + box.width - sheet.width_of(text, 10)
-            sheet.text(max(left, min(x - 3, right)), area.y + 8, text, 10, theme.faint)
-        x = float(self._x(box, index))
-        sheet.line(_points([x, x], [box.y - 3, area.y + area.height]), theme.ink, 1.0)
-        for number, (line, label) in enumerate(zip(lines, labels, strict=True)):
-            y = box.y + 8 + number * 17
-            left = box.x + box.width + 10
-            sheet.line(_points([left, left + 12], [y, y]), line.colour, max(2.0, line.width))
-            sheet.text(left + 17, y, label, 11, theme.ink)
-
-    def _x(self, box: _Area, step: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        return box.x + box.width * np.asarray(step, np.float64) / max(1, self.last)
-
-    def _draw_bands(self, sheet: Sheet, area: _Area) -> None:
-        """A bar of states for each episode."""
-        for row, episode in enumerate(self._episodes):
-            y = area.y + row * _BAND
-            for state, first, last in _runs(episode.states):
-                begin, end = float(self._x(area, first)), float(self._x(area, last + 1))
-                if last == episode.last:
-                    end = max(end, begin + 4.0)  # the last state has only one step
-                sheet.box(begin, y, end - begin, _BAND - 3, STATE_COLOURS[state])
-            name = f"{self._names[row][:1]} state".strip()
-            sheet.text(area.x + area.width + 10, y + 7, name, 11, self._theme.ink)
-
-    def _draw_words(self, sheet: Sheet, area: _Area, number: int, step: Step) -> None:
+    def _draw_words(self, sheet: Sheet, area: Area, number: int, step: Step) -> None:
         theme, episode = self._theme, self._episodes[number]
         name = self._names[number][:1]
         bottom = area.y + area.height
@@ -390,15 +323,6 @@ _ROW: Final = 16.0
 _THIN: Final = (Curve.PRECISION, Curve.RECALL)
 
 
-class _Line(NamedTuple):
-    """A curve of a plot."""
-
-    name: str
-    colour: Colour
-    values: Series
-    width: float
-
-
 def _title(header: EpisodeHeader) -> str:
     config = header.config
     parts = [
@@ -410,30 +334,3 @@ def _title(header: EpisodeHeader) -> str:
         f"seed {config.seed}",
     ]
     return "   ·   ".join(parts)
-
-
-def _value(values: Series, step: int) -> str:
-    value = values[min(step, len(values) - 1)]
-    return f"{value:.2f}" if np.isfinite(value) else "-"
-
-
-def _points(xs: npt.ArrayLike, ys: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    broad = np.broadcast_arrays(np.asarray(xs, np.float64), np.asarray(ys, np.float64))
-    return np.stack(broad, axis=1)
-
-
-def _ticks(last: int) -> list[int]:
-    """Four to nine round numbers from 0 to `last`."""
-    for step in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000):
-        if last / step <= 8:
-            return list(range(0, last + 1, step))
-    return [0, last]
-
-
-def _runs(states: Sequence[State]) -> Iterator[tuple[State, int, int]]:
-    """(state, first step, last step) of each stretch of the same state."""
-    first = 0
-    for i in range(1, len(states) + 1):
-        if i == len(states) or states[i] is not states[first]:
-            yield states[first], first, i - 1
-            first = i

@@ -6,15 +6,15 @@ rgb = painter.draw(MapView.FUSED, log[60], 480, 480, track=track, marks=marks)
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from mapreplay.pictures import Picture
+from mapreplay.pictures import Picture, png_of
 from mapreplay.recorders.pictures.annotations import Mark, mark_colours, shown_at
 from mapreplay.recorders.pictures.layers import (
     MapView,
@@ -37,6 +37,9 @@ from mapreplay.recorders.pictures.palette import (
     viridis,
 )
 from mapreplay.step import Cells, EpisodeHeader, Step
+
+if TYPE_CHECKING:
+    from mapreplay.recorders.log.reader import EpisodeLog
 
 _SHIFT: Final = 4
 """OpenCV's coordinates are fixed-point numbers with this many fractional bits."""
@@ -138,6 +141,22 @@ class MapPainter:
         colours = mark_colours(marks)
         for mark in shown_at(marks, step.index):
             canvas.boxes(mark.cells, colours[mark.name])
+
+
+def map_pngs(
+    log: EpisodeLog, step: Step, views: Iterable[MapView], side: int, marks: Sequence[Mark] = ()
+) -> list[bytes]:
+    """Maps of a step as PNG files, at most `side` pixels wide and high, with the trail so far.
+
+    Raises:
+        LogError: the log is damaged.
+    """
+    table, painter = log.table(), MapPainter(log.header)
+    walked = table.filter(table["step"] <= step.index).select("row", "col")
+    track = walked.to_numpy().astype(np.int32)
+    return [
+        png_of(painter.draw(view, step, side, side, track=track, marks=marks)) for view in views
+    ]
 
 
 def enlarge(picture: Picture, scale: float) -> Picture:

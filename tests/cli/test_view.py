@@ -78,7 +78,7 @@ def test_it_draws_films(cli: Run, three: list[Path], tmp_path: Path) -> None:
         ("--png x.png --step 31", "--step 31: {log} has steps 0 to 30"),
         ("--png x.png --step -32", "--step -32: {log} has steps 0 to 30"),
         ("--png x.png --size big", "--size big: should be WIDTHxHEIGHT, such as 1920x1080"),
-        ("--png x.png --size 10x10", "10x10: a picture must have 640x360 to 7680x4320 pixels"),
+        ("--png x.png --size 10x10", "10x10: a picture has 640x360 to 7680x4320 pixels"),
         ("--png x.png --maps B", "--maps B: the logs are A to A"),
     ],
 )

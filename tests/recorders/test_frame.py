@@ -114,9 +114,7 @@ def test_an_episode_without_truth_prediction_and_targets_is_drawn(tmp_path: Path
 
 
 def test_sizes_and_numbers_of_episodes_are_checked(rooms: Filmed) -> None:
-    with pytest.raises(
-        UsageError, match="100x100: a picture must have 640x360 to 7680x4320 pixels"
-    ):
+    with pytest.raises(UsageError, match="100x100: a picture has 640x360 to 7680x4320 pixels"):
         Film([rooms], (100, 100))
     with pytest.raises(UsageError, match="3 episodes; a picture shows one or two"):
         Film([rooms] * 3)

@@ -454,6 +454,13 @@ def test_counts_over_a_corpus(diagnosis: Diagnosis) -> None:
     assert empty == ["Cost of being freed: means per episode, with 95 % intervals"]
 
 
+def test_the_keys_of_json_stay_while_names_in_the_code_change(diagnosis: Diagnosis) -> None:
+    record = corpus_record([diagnosis])
+    assert {"culprits", "doorway", "view"} <= record["kinds"][0].keys()
+    assert "claims" in record["calibration"][0]
+    assert {"culprits", "doorway", "place", "blame"} <= record_of(diagnosis)["sealings"][0].keys()
+
+
 def test_what_it_cost_to_be_freed(diagnosis: Diagnosis, tmp_path: Path) -> None:
     """Only episodes that were always freed are counted."""
     freed = diagnose(recorded(tmp_path / "a.mcap", episode(always(LEFT_ROOM), fail_safe=True)))
