@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import typer
 import typer.main
 
 from mapreplay.cli import app
@@ -99,7 +100,7 @@ def test_every_command_has_its_verb_and_options(page: Path, command_line: Any) -
             assert words[at] in command.commands, " ".join(words)
             command, at = command.commands[words[at]], at + 1
         known = {"--help", "-h"}
-        for option in command.params:
+        for option in command.get_params(typer.Context(command)):
             known |= {*option.opts, *option.secondary_opts}
         for word in words[at:]:
             if re.match(r"--?[a-z]", word):

@@ -1,4 +1,4 @@
-"""Weights on disk: safetensors and a model card beside it. Nothing is ever unpickled."""
+"""Weights on disk: safetensors and a model card. Nothing is ever unpickled."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MAX_BYTES: Final = 256 << 20
 
 @dataclass(frozen=True)
 class ModelCard:
-    """What is known of a trained predictor; ``<name>.json`` beside the weights."""
+    """Facts about a trained predictor; ``<name>.json`` next to the weights."""
 
     name: str
     architecture: str
@@ -104,9 +104,9 @@ def save_weights(path: Path, content: bytes, card: ModelCard, *, force: bool = F
     Raises:
         ExistsError, WriteError: see `mapreplay.files.whole_path`.
     """
-    beside = card_path(path)
+    card_file = card_path(path)
     with (
-        whole_path(beside, force=force) as card_draft,
+        whole_path(card_file, force=force) as card_draft,
         whole_path(path, force=force) as draft,
     ):
         for each, data in ((card_draft, card.to_json()), (draft, content)):

@@ -206,9 +206,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m mapreplay.training.auto")
     parser.add_argument("--houses", type=Path, required=True, help="HouseExpo's json.tar.gz")
     parser.add_argument("--ids", type=Path, required=True, help="HouseExpo's map_id_train.txt")
-    parser.add_argument("--hold-out", type=int, default=1000, help="houses of least SHA-256")
-    parser.add_argument("--plans", type=int, default=600, help="of D1 and of D2")
-    parser.add_argument("--others", type=int, default=120, help="of each sort of neither kind")
+    parser.add_argument(
+        "--hold-out",
+        type=int,
+        default=1000,
+        help="number of held-out houses, those with the lowest SHA-256",
+    )
+    parser.add_argument("--plans", type=int, default=600, help="number of plans of D1 and of D2")
+    parser.add_argument(
+        "--others", type=int, default=120, help="number of plans of each sort of neither kind"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("-o", "--out", type=Path, required=True, help="parameters to write (JSON)")
     options = parser.parse_args()

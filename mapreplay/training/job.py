@@ -103,7 +103,7 @@ def run_training(job: TrainingJob, environment: Environment) -> ModelCard:
         trainer.resume()
         environment.note(f"resumed after {trainer.samples} samples")
     elif job.resume:
-        environment.note(f"{job.checkpoint}: no checkpoint, so that the training starts anew")
+        environment.note(f"{job.checkpoint}: no checkpoint; the training starts from its beginning")
     with (
         closing(trainer.run()) as reports,
         environment.progress("training", job.config.samples) as completed,
@@ -129,7 +129,7 @@ def run_training(job: TrainingJob, environment: Environment) -> ModelCard:
 def _load_data(
     job: TrainingJob, environment: Environment
 ) -> tuple[list[TrainingPlan], list[TrainingPlan]]:
-    """The plans to train on, and those to validate on, which are none of the former."""
+    """The plans to train on, and the plans to validate on; no plan is in both."""
     source, wanted = None, list[str]()
     if job.floorplans is not None:
         source = open_source(job.floorplans, job.resolution)

@@ -448,7 +448,7 @@ def test_a_missing_key_is_named(tmp_path: Path, key: str) -> None:
         ("origin", "[0, x, 0]", "three finite numbers"),
         ("origin", "[0, .nan, 0]", "three finite numbers"),
         ("origin", "{x: 0}", "three finite numbers"),
-        ("origin", "[0, 0, 1.57]", "a yaw of 1.57 rad; turned maps are not supported"),
+        ("origin", "[0, 0, 1.57]", "a yaw of 1.57 rad; rotated maps are not supported"),
         ("negate", "2", "negate is 2; expected 0 or 1"),
         ("negate", "no", "negate is 'no'"),
         ("negate", "0.0", "negate is 0.0"),

@@ -134,7 +134,7 @@ def test_a_path_that_is_nearly_one(tmp_path: Path, spec: str, there: str) -> Non
 
 @pytest.mark.parametrize("spec", ["", "procedrual", "unknown:rest", "a\0b", "x" * 5000])
 def test_what_is_neither_a_source_nor_a_path_lists_what_is_understood(spec: str) -> None:
-    with pytest.raises(UsageError, match=r"no such file or folder, and no source; understood are"):
+    with pytest.raises(UsageError, match=r"no such file or folder, and no source; supported are"):
         open_source(spec)
 
 
