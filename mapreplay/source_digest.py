@@ -1,4 +1,4 @@
-"""What a result depends on of our own code, found by following imports."""
+"""Digest of the code that a result depends on, found by following imports."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ _ROOT: Final = Path(__file__).parent
 def source_digest(*modules: str) -> str:
     """SHA-256 (hex) of the source of `modules` and of all of this package that they import.
 
-    Also what they import only inside of functions. A package that is imported counts with all its
-    modules, because those of plug-ins (planners, predictors) are imported by nobody by name.
+    Imports inside of functions count, too. An imported package counts with all its modules,
+    because plug-ins (planners, predictors) are not imported by name.
 
     Raises:
         FileNotFoundError: there is no such module.

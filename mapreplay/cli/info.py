@@ -1,4 +1,4 @@
-"""`mapreplay info`: everything that one log says of itself."""
+"""`mapreplay info`: the metadata of one log."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def info(
     output: OutputOption = None,
     force: ForceOption = False,
 ) -> None:
-    """Show what one log says of itself.
+    """Show the metadata of one log.
 
     Configuration, floor plan, predictor, versions, how it ended, and its events.
     """
@@ -37,7 +37,7 @@ def info(
         ("file", "bytes", opened.path.stat().st_size),
         ("floor plan", "id", plan.id),
         ("floor plan", "cells", f"{plan.shape[0]} x {plan.shape[1]}"),
-        ("floor plan", "resolution", f"{plan.resolution} m a cell"),
+        ("floor plan", "resolution", f"{plan.resolution} m per cell"),
         ("floor plan", "explorable cells", int(opened.header.explorable.sum())),
         ("floor plan", "true map", "known" if plan.has_truth else "not known"),
         ("floor plan", "sha256", plan.sha256),
