@@ -602,7 +602,7 @@ def test_a_folder_without_a_map_is_refused(tmp_path: Path) -> None:
 def test_a_resolution_cannot_be_chosen(tmp_path: Path) -> None:
     path = str(write_yaml(tmp_path / "plan.yaml"))
     assert open_source(path, None).default_predictor == "d2"
-    with pytest.raises(UsageError, match=r"the resolution that its YAML file says, not 0\.1"):
+    with pytest.raises(UsageError, match=r"set by its YAML file, not 0\.1"):
         open_source(path, 0.1)
 
 

@@ -180,8 +180,8 @@ def test_an_id_list_has_blank_lines_and_comments(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
-        (b"", "holds no id"),
-        (b"# nothing\n\n", "holds no id"),
+        (b"", "contains no ID"),
+        (b"# nothing\n\n", "contains no ID"),
         (b"a\n../b\n", "line 2: '../b' is not an id"),
         (b"a b\n", "line 1: 'a b' is not an id"),
         (b"x" * 129, "line 1: 'x*' is not an id"),
