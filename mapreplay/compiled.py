@@ -1,8 +1,8 @@
 """The decorator of all compiled kernels: numba's, whose cache may be missing, full or damaged.
 
-Compiled code is kept where numba keeps it: in ``NUMBA_CACHE_DIR``, beside the source, or in the
-user's cache folder. Where none of them can be written, kernels are compiled in memory. What is
-kept has its digest with it: machine code that is not what was written is never run.
+Compiled code is cached where numba caches it: in ``NUMBA_CACHE_DIR``, next to the source, or in
+the user's cache folder. If none of them is writable, kernels are compiled in memory. The cache
+contains a digest of the code, so that damaged machine code is never run.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Value = TypeVar("Value")
 
 
 def njit(kernel: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
-    """Compile `kernel`, and keep what was compiled if there is a place for it."""
+    """Compile `kernel`, and cache the code if there is a writable folder."""
     compiled: Any = numba.njit(kernel)
     compiled._cache = _cache_of(kernel)  # noqa: SLF001 (as its `enable_caching` does)
     return cast("Callable[Arguments, Value]", compiled)
@@ -44,7 +44,7 @@ def _cache_of(kernel: Callable[..., object]) -> Any:
 
 
 class _UsersFolder(UserWideCacheLocator):
-    """The user's cache folder, of users who have one: numba would make a folder called ``~``."""
+    """The user's cache folder, if the user has a home; numba would create a folder called ``~``."""
 
     @classmethod
     def from_function(cls, kernel: Any, file: str) -> Any:
@@ -53,7 +53,7 @@ class _UsersFolder(UserWideCacheLocator):
 
 
 class _Sealed(CompileResultCacheImpl):
-    """What is kept of a kernel: its digest, and what numba keeps."""
+    """The cached form of a kernel: its digest, and numba's form."""
 
     # An instance variable in name only:
     _locator_classes: ClassVar = [  # type: ignore[misc]
@@ -74,7 +74,7 @@ class _Sealed(CompileResultCacheImpl):
 
 
 class _Cache(FunctionCache):
-    """Numba's, for which a damaged file is no file, and one that cannot be written no error."""
+    """Numba's cache, but damaged files count as missing, and failed writes are no errors."""
 
     _impl_class = _Sealed
 

@@ -43,7 +43,7 @@ _MAX_CONFIG_BYTES = 1 << 20
 _MAX_NAME = 512
 _MAX_SHOWN = 80
 
-# Strict: nothing is cut, rounded or guessed. 5.0 is no number of steps, "yes" no switch.
+# Strict: nothing is truncated, rounded or guessed; 5.0 and "yes" are refused.
 Whole = Annotated[int, Field(strict=True)]
 Number = Annotated[float, Field(strict=True)]
 Switch = Annotated[bool, Field(strict=True)]
@@ -55,10 +55,10 @@ _PATH: Final = re.compile(r"[/\\~]|[A-Za-z]:[/\\]")
 
 
 def predictor_name(word: str) -> str:
-    """What is logged of a predictor that is called by a name or by the file of its weights.
+    """The logged name of a predictor that is given by its name or by the file of its weights.
 
-    The name, or the file's without its folder and ending: a log says which weights were used by
-    their hash, and never where they were. Nothing is ever opened because of this name.
+    For a file this is its name without folder and ending: a log identifies weights by their hash,
+    never by their location. No file is ever opened because of this name.
     """
     if WEIGHTS_ENDING in word or _PATH.match(word):
         word = re.split(r"[/\\]", word)[-1].replace(WEIGHTS_ENDING, "") or "unnamed"
@@ -66,9 +66,9 @@ def predictor_name(word: str) -> str:
 
 
 class EpisodeConfig(BaseModel):
-    """What an episode depends on, beside its floor plan.
+    """Everything that an episode depends on, except its floor plan.
 
-    Made by `of`, which names in a `ConfigError` the key, the value and what is allowed.
+    Create it with `of`, whose `ConfigError` names the key, the value and the allowed range.
     """
 
     model_config = ConfigDict(
@@ -80,7 +80,7 @@ class EpisodeConfig(BaseModel):
         description="random, nearest, cost-utility, informative-path, or a plug-in.",
     )
     predictor: str = "none"
-    """Name; of a path to weights the name of the file remains (see `predictor_name`)."""
+    """Name; a path to weights is reduced to the name of the file (see `predictor_name`)."""
     plan_on: MapKind = Field(
         default=MapKind.FUSED,
         description="Planning map: the map on which paths and gains are computed.",
@@ -148,7 +148,7 @@ class EpisodeConfig(BaseModel):
 
     @classmethod
     def of(cls, values: Mapping[str, Any], where: str = "config") -> Self:
-        """Check `values`; `where` says in an error where they came from.
+        """Check `values`; `where` is their origin in error messages.
 
         Raises:
             ConfigError: a key is unknown or a value out of range.
@@ -211,8 +211,8 @@ class RunConfig(EpisodeConfig):
     def episode(self, default_predictor: str, seed: int) -> EpisodeConfig:
         """The configuration of one episode.
 
-        Without a predictor by name, `default_predictor` is used if a fused map is planned on
-        or built, and none otherwise.
+        If no predictor is given, `default_predictor` is used if the planning map or the target
+        map is fused, and none otherwise.
         """
         values = {key: getattr(self, key) for key in EpisodeConfig.model_fields}
         if self.predictor is None:
@@ -222,7 +222,7 @@ class RunConfig(EpisodeConfig):
 
 
 def describe(error: ValidationError) -> str:
-    """The first problem that pydantic found, in our words: key, value, allowed range."""
+    """The first problem found by pydantic, in our words: key, value, allowed range."""
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"] if not str(part).startswith("tuple["))
     if first["type"] == "extra_forbidden":
@@ -232,7 +232,7 @@ def describe(error: ValidationError) -> str:
 
 
 def _shown(value: object) -> str:
-    """A value as it is written, or the start of it."""
+    """The start of a value's representation."""
     try:
         text = repr(value)
     except ValueError:
@@ -282,11 +282,11 @@ def _parsed(text: str, path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}, line {line}: nested too deeply") from None
     except ValueError as error:
         line, reason = _line_of(type(error), text), str(error).partition(";")[0]
-        raise ConfigError(f"{path}, line {line}: a value that cannot be ({reason})") from None
+        raise ConfigError(f"{path}, line {line}: an invalid value ({reason})") from None
 
 
 def _line_of(kind: type[Exception], text: str) -> int:
-    """The line of `text` with which parsing fails in this way, which does not say where."""
+    """The line of `text` at which parsing fails with an error of this kind, which has no line."""
 
     def fails(lines: int) -> bool:
         try:

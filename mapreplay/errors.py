@@ -1,11 +1,11 @@
 """Every error that mapreplay raises on purpose.
 
     MapreplayError            exit 1   something could not be done
-    ├── UsageError            exit 2   asked for something that does not exist or does not fit
+    ├── UsageError            exit 2   the request names something unknown or invalid
     │   ├── ConfigError                a key of the configuration has an illegal value
     │   ├── PluginError                a planner, predictor, source or metric is unknown or broken
-    │   └── ExistsError                what is to be written is there already
-    ├── WriteError                     a file cannot be written; what was there is as it was
+    │   └── ExistsError                the file to be written exists
+    ├── WriteError                     a file cannot be written; an existing one is unchanged
     ├── FloorPlanError                 a floor plan cannot be read, or makes no sense
     ├── WeightsError                   a predictor's weights cannot be read
     └── LogError                       a log cannot be read or written
@@ -25,7 +25,7 @@ class MapreplayError(Exception):
 
 
 class UsageError(MapreplayError):
-    """The request itself is wrong; nothing was tried."""
+    """The request itself is invalid; nothing was done."""
 
     exit_code = 2
 
@@ -39,11 +39,11 @@ class PluginError(UsageError):
 
 
 class ExistsError(UsageError):
-    """What is to be written is there already, or its name is that of a link, folder or device."""
+    """The file to be written exists, or its name is that of a link, folder or device."""
 
 
 class WriteError(MapreplayError):
-    """A file cannot be written; what was there before is as it was."""
+    """A file cannot be written; an existing one is unchanged."""
 
 
 class FloorPlanError(MapreplayError):

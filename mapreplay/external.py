@@ -1,12 +1,11 @@
-"""Episodes of other simulators and of real robots: what a log needs, from what they have.
+"""Episodes of external simulators and of real robots, converted to steps for the log.
 
-Only poses and observed maps are needed. What else there is (a true map, a prediction, scans,
-targets) is kept; what there is not is left out of the log:
+Only poses and observed maps are needed. A true map, predictions, scans and targets are optional:
 
 ======================  ==================================================================
-left out                what then
+missing                 consequence
 ======================  ==================================================================
-the true map            it is unknown everywhere, nothing is explorable, scores are NaN
+the true map            unknown everywhere, nothing is explorable, scores are NaN
 a prediction            no ``/map/p_wall``; the fused map is the observed one
 a scan                  no ``/scan``
 a target                no ``/decision`` and ``/plan``; nothing to explain
@@ -50,10 +49,10 @@ NO_PREDICTOR = PredictorIdentity("none", "")
 def unknown_floor_plan(
     name: str, shape: tuple[int, int], resolution: float, origin: tuple[float, float] = (0.0, 0.0)
 ) -> FloorPlan:
-    """A floor plan of which only the size is known: `shape` (height, width), metres a cell.
+    """A floor plan of unknown cells: `shape` is (height, width), `resolution` in metres per cell.
 
     Raises:
-        FloorPlanError: the name, size or resolution makes no floor plan.
+        FloorPlanError: the name, size or resolution is invalid.
     """
     cells = np.full(shape, UNKNOWN, np.int8)
     return FloorPlan(name, cells, resolution, Origin(*origin), has_truth=False)
@@ -83,11 +82,11 @@ class ExternalEpisode:
 
         Args:
             floor_plan: The true map, or an `unknown_floor_plan`.
-            start: (row, col) of the first pose, in whole numbers.
-            planner: Its name.
-            simulator: What made the steps, by name.
-            predictor: Name and weights' hash of what predicts.
-            max_steps: The budget; by default there is none.
+            start: (row, col) of the first pose, integers.
+            planner: Name of the planner.
+            simulator: Name of the simulator or robot.
+            predictor: Name of the predictor and hash of its weights.
+            max_steps: The step budget; unlimited by default.
             **config: Further keys of `EpisodeConfig`, such as ``seed`` or ``coverage``.
 
         Raises:
@@ -121,21 +120,21 @@ class ExternalEpisode:
         frontier: Cells | None = None,
         outcome: str | None = None,
     ) -> Step:
-        """The next step; steps are numbered from 0 and stamped 0.1 s apart.
+        """Create the next step; steps are numbered from 0 and stamped 0.1 s apart.
 
         Args:
-            agent: (row, col), in whole numbers.
+            agent: (row, col), integers.
             observed: int8[H, W] of -1, 0, 100.
             p_wall: float[H, W], P(occupied) in [0, 1].
             fused: int8[H, W]; by default the observed map completed by `p_wall`.
             hits: int16[rays], see `mapreplay.sensor`.
-            target: (row, col) that the agent goes for; None at the last step.
-            frontier: int32[n, 2], what it chose from.
+            target: (row, col) of the agent's target; None at the last step.
+            frontier: int32[n, 2], the cells that it chose from.
             outcome: ``mapped``, ``sealed_in`` or ``out_of_steps`` at the last step.
 
         Raises:
-            UsageError: a map has another size or other values, a cell is outside or not in whole
-                numbers, the first pose is not the start, or the outcome is none.
+            UsageError: a map has a wrong size or wrong values, a cell is outside or not two
+                integers, the first pose is not the start, or the outcome is unknown.
         """
         header = self.header
         cell = self._check_cell("agent", agent)
@@ -234,7 +233,7 @@ class ExternalEpisode:
 
 
 def _cell(what: str, cell: Sequence[SupportsIndex | float], shape: tuple[int, int]) -> Cell:
-    """A cell of a map of `shape`, if it is one: nothing is cut or rounded.
+    """Check a cell of a map of `shape`; nothing is truncated or rounded.
 
     Raises:
         UsageError: it is not two whole numbers, or outside.
@@ -250,16 +249,16 @@ def _cell(what: str, cell: Sequence[SupportsIndex | float], shape: tuple[int, in
 
 
 def _whole(value: object) -> int:
-    """An integer of Python or NumPy, or a number that is one, such as 5.0.
+    """An integer of Python or NumPy, or a float with an integer value, such as 5.0.
 
     Raises:
-        ValueError: it is none.
+        ValueError: it is not an integer.
     """
     if isinstance(value, int | np.integer) and not isinstance(value, bool):
         return int(value)
     if isinstance(value, float | np.floating) and float(value).is_integer():
         return int(value)
-    raise ValueError(f"{value!r} is no whole number")
+    raise ValueError(f"{value!r} is not a whole number")
 
 
 def _outcome(name: str) -> Outcome:

@@ -21,16 +21,16 @@ _LONGEST_ENDING: Final = 16
 
 
 def check_new(path: Path, *, force: bool = False) -> None:
-    """Refuse to write `path` before any work is done for it.
+    """Refuse a `path` that cannot be written, before any work is done.
 
     Args:
-        path: The file to be written.
+        path: The file to write.
         force: Whether a regular file of that name may be replaced.
 
     Raises:
-        ExistsError: it is there and `force` is not given, or it is not a regular file: a folder,
-            a link, a device.
-        WriteError: its folder is not there or cannot be searched.
+        ExistsError: it exists and `force` is not given, or it is not a regular file but a
+            folder, link or device.
+        WriteError: its folder does not exist or is not accessible.
     """
     try:
         mode = path.lstat().st_mode
@@ -41,26 +41,26 @@ def check_new(path: Path, *, force: bool = False) -> None:
     except (OSError, ValueError) as error:
         raise cannot_write(path, error) from None
     if stat.S_ISLNK(mode):
-        raise ExistsError(f"{path}: is a link, which is never written through; name its target")
+        raise ExistsError(f"{path}: is a link; give its target instead")
     if stat.S_ISDIR(mode):
-        raise ExistsError(f"{path}: is a folder; name a file")
+        raise ExistsError(f"{path}: is a folder; give the name of a file")
     if not stat.S_ISREG(mode):
-        raise ExistsError(f"{path}: is not a regular file; name another one")
+        raise ExistsError(f"{path}: is not a regular file; choose another name")
     if not force:
         raise ExistsError(f"{path}: exists; choose another name, or overwrite it with --force")
 
 
 @contextmanager
 def whole_path(path: Path, *, force: bool = False) -> Iterator[Path]:
-    """A draft to write under the name that this yields; it becomes `path` at the end of the block.
+    """Yields the path of a draft, which becomes `path` at the end of the block.
 
-    Where the block raises, nothing of the draft is left and `path` is as it was. The draft is there
-    and empty, so that a folder that cannot be written to is found before any work is done, and has
-    the ending of `path`, for encoders that go by it. What it replaces gives it its permissions.
+    If the block raises, the draft is removed and `path` is unchanged. The draft is created empty,
+    so that a folder that is not writable is detected before any work is done. It has the ending of
+    `path`, for encoders that depend on it, and the permissions of the file that it replaces.
 
     Raises:
-        ExistsError: see `check_new`; also if `path` came to be meanwhile.
-        WriteError: the draft could not be written or renamed; OSErrors of the block are this, too.
+        ExistsError: see `check_new`; also if `path` was created meanwhile.
+        WriteError: the draft could not be written or renamed; also for OSErrors of the block.
     """
     check_new(path, force=force)
     ending = path.suffix if len(path.suffix) <= _LONGEST_ENDING else ""
@@ -79,7 +79,7 @@ def whole_path(path: Path, *, force: bool = False) -> Iterator[Path]:
 
 
 def write_whole(path: Path, content: bytes | Iterable[bytes], *, force: bool = False) -> None:
-    """Write `content`, bytes or blocks of them, as the file `path`, whole or not at all.
+    """Write `content` (bytes or blocks of bytes) to the file `path`, completely or not at all.
 
     Raises:
         ExistsError, WriteError: see `whole_path`.
@@ -108,20 +108,20 @@ def _publish(draft: Path, path: Path, *, force: bool) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """Make the folder `path` and those above it, unless it is there.
+    """Create the folder `path` and its parents, unless they exist.
 
     Raises:
-        ExistsError: it, or one of those above it, is a file.
-        WriteError: it cannot be made.
+        ExistsError: it or one of its parents is a file.
+        WriteError: it cannot be created.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
-        raise ExistsError(f"{path}: is a file, or in one; name a folder") from None
+        raise ExistsError(f"{path}: is a file, or in one; give the name of a folder") from None
     except (OSError, ValueError) as error:
         raise cannot_write(path, error) from None
 
 
 def cannot_write(path: Path, error: OSError | ValueError) -> WriteError:
-    """What is said where writing `path` failed: its name, and the system's reason."""
+    """The message for a failed write to `path`: its name and the system's reason."""
     return WriteError(f"{path}: cannot be written ({getattr(error, 'strerror', None) or error})")

@@ -1,4 +1,4 @@
-"""A floor plan: the true map of a building, where an agent starts, and what it could explore."""
+"""A floor plan: the true map of a building, the default start, and the explorable cells."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ MAX_SIDE = 4096
 """Cells along the longer side above which a floor plan is refused (16.7 million cells)."""
 
 ID_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,127}")
-"""What a floor plan may be called, because ids become names of files."""
+"""Pattern of floor-plan IDs, which become file names."""
 
 
 @dataclass(frozen=True)
 class Doubt:
-    """Why a floor plan may not be what was meant."""
+    """A reason why a floor plan may have been read wrongly."""
 
     kind: str
-    """In a few words, the same for all of its kind: "no wall"."""
+    """A few words, the same for all doubts of its kind: "no wall"."""
     text: str
-    """One line with the numbers and what to do about it."""
+    """One line with the numbers and what to do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,20 +40,20 @@ class FloorPlan:
     cells: Grid
     """int8[H, W], read-only."""
     resolution: float
-    """Metres a cell."""
+    """Metres per cell."""
     origin: Origin = Origin(0.0, 0.0)
     has_truth: bool = True
-    """False for the log of a robot whose true map nobody knows; then all cells are unknown."""
+    """False if the true map is unknown, as for a robot; then all cells are unknown."""
     file: str = ""
-    """What it was read from, for messages; empty where the id says it."""
+    """The file that it was read from, for messages; empty if the ID says it."""
     doubts: tuple[Doubt, ...] = ()
-    """What its source found odd in the file; see `mapreplay.floorplans.plausibility`."""
+    """Doubts of its source about the file; see `mapreplay.floorplans.plausibility`."""
 
     def __post_init__(self) -> None:
         """Check and freeze.
 
         Raises:
-            FloorPlanError: cells of another type, too many, or none of them free.
+            FloorPlanError: cells have a wrong type, are too many, or none of them is free.
         """
         if not ID_PATTERN.fullmatch(self.id):
             raise FloorPlanError(
@@ -63,11 +63,11 @@ class FloorPlan:
         if problem is None and not 1 <= max(self.cells.shape) <= MAX_SIDE:
             problem = f"{self.cells.shape} cells; at most {MAX_SIDE} along a side are allowed"
         if problem is None and not (np.isfinite(self.resolution) and self.resolution > 0):
-            problem = f"resolution {self.resolution} must be a positive number of metres a cell"
+            problem = f"resolution {self.resolution} must be a positive number of metres per cell"
         if problem is None and not np.isfinite(self.origin).all():
             problem = f"origin {tuple(self.origin)} is not finite"
         if problem is None and not self.has_truth and (self.cells != UNKNOWN).any():
-            problem = "cells are known of a true map that is not known"
+            problem = "some cells are known although the true map is unknown"
         if problem is None and self.has_truth and not (self.cells == FREE).any():
             problem = "no free cell"
         if problem is not None:
@@ -76,7 +76,7 @@ class FloorPlan:
 
     @property
     def where(self) -> str:
-        """What a message calls it."""
+        """Its name in messages."""
         return self.file or f"floor plan {self.id}"
 
     @property
@@ -86,7 +86,7 @@ class FloorPlan:
 
     @cached_property
     def sha256(self) -> str:
-        """Hex digest of shape, cells, resolution and origin: what the simulation depends on."""
+        """Hex digest of shape, cells, resolution and origin, on which the simulation depends."""
         digest = hashlib.sha256(struct.pack("<qqddd", *self.shape, self.resolution, *self.origin))
         digest.update(np.ascontiguousarray(self.cells).tobytes())
         return digest.hexdigest()
@@ -101,13 +101,13 @@ class FloorPlan:
     def default_start(self) -> Cell:
         """The top-left free cell (largest y, then smallest x) of the largest free region.
 
-        Of two regions of one size, the one with the topmost, then leftmost cell.
+        Of two regions of the same size, the one with the topmost, then leftmost cell is taken.
 
         Raises:
-            FloorPlanError: the true map is not known.
+            FloorPlanError: the true map is unknown.
         """
         if not self.has_truth:
-            raise FloorPlanError(f"floor plan {self.id}: its true map is not known")
+            raise FloorPlanError(f"floor plan {self.id}: its true map is unknown")
         labels, _ = ndimage.label(self.cells == FREE, structure=np.ones((3, 3)))
         sizes = np.bincount(labels.ravel())[1:]
         largest = np.flatnonzero(sizes == sizes.max()) + 1
@@ -134,11 +134,11 @@ class FloorPlan:
 
 
 def explorable(cells: Grid, start: Cell) -> Mask:
-    """bool[H, W]: what an agent at `start` (a free cell) could ever come to know.
+    """bool[H, W]: the cells that an agent at `start` (a free cell) can observe.
 
-    The free cells that can be reached (8-connected) and the occupied cells that touch one of
-    them (8-neighbourhood). Unknown cells, closed rooms, the outside and the inside of thick
-    walls are not explorable and count nowhere.
+    The reachable free cells (8-connected) and the occupied cells adjacent to one of them
+    (8-neighbourhood). Unknown cells, closed rooms, the outside and the inside of thick walls
+    are not explorable and not scored.
     """
     reached = np.zeros(cells.shape, np.bool_)
     stack = np.empty(cells.size, np.int32)

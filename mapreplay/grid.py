@@ -43,7 +43,7 @@ class Origin(NamedTuple):
 
 
 def check_grid(cells: npt.NDArray[np.generic]) -> str | None:
-    """What is wrong with `cells` as an occupancy grid, in words, or None."""
+    """The problem of `cells` as an occupancy grid, in words, or None."""
     if cells.ndim != 2 or cells.dtype != np.int8:
         return f"expected int8[H, W], got {cells.dtype}{list(cells.shape)}"
     values = np.unique(cells)

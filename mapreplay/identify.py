@@ -1,4 +1,4 @@
-"""What a file is that is not what it was taken for: the cause behind "not a PNG image"."""
+"""Identifies files of unexpected types: the cause behind "not a PNG image"."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ _NETPBM: Final = {
 
 
 def identify(content: bytes) -> str | None:
-    """What the file that starts with `content` is, and what to do about it; None if unknown.
+    """The type of the file that starts with `content`, and what to do; None if unknown.
 
     Args:
         content: The file, or its first 512 bytes.
@@ -119,11 +119,11 @@ def identify_file(path: Path) -> str | None:
 
 
 def unlike(path: Path, expected: str, content: bytes | None = None) -> str:
-    """The line that says that `path` is not `expected`, and what it is where that can be told.
+    """The message that `path` is not `expected`, with its type if known.
 
     Args:
         path: The file.
-        expected: What it was taken for, with its article: "a PNG or PGM image".
+        expected: The expected type, with its article: "a PNG or PGM image".
         content: The file or its first 512 bytes, if they have been read.
     """
     what = identify_file(path) if content is None else identify(content)

@@ -34,7 +34,7 @@ def end_with_keeper() -> Callable[[], None] | None:
 
 
 def end_with_input(process: subprocess.Popen[bytes]) -> None:
-    """End the program when whoever started us has closed the pipe, or is gone."""
+    """End the program when our parent has closed the pipe, or has ended."""
     with contextlib.suppress(OSError):
         while os.read(0, 1024):  # not sys.stdin, whose lock would be held when Python ends
             pass
@@ -46,7 +46,7 @@ def end_with_input(process: subprocess.Popen[bytes]) -> None:
 
 
 def main() -> int:
-    """Run the program; its exit code."""
+    """Run the program; returns its exit code."""
     process = subprocess.Popen(  # noqa: S603
         sys.argv[1:],
         stdin=subprocess.DEVNULL,

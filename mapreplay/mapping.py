@@ -19,7 +19,7 @@ from mapreplay.config import PredictionDtype
 from mapreplay.grid import FREE, OCCUPIED, UNKNOWN, Grid, Quantized
 
 _TOP: Final = {np.dtype(np.uint8): 2**8 - 1, np.dtype(np.uint16): 2**16 - 1}
-"""What stands for certainty, of the integer types."""
+"""The level of certainty of the integer types."""
 _FINE: Final = 2**32
 """Steps of the doubt of a float32."""
 
@@ -46,7 +46,7 @@ def dequantize(quantized: Quantized) -> npt.NDArray[np.float64]:
 
 
 def doubt(quantized: Quantized) -> tuple[npt.NDArray[np.float64], int]:
-    """1 - |2 p - 1| as whole numbers, so that sums of it are exact whatever their order.
+    """1 - |2 p - 1| as whole numbers, so that sums are exact in any order.
 
     Returns:
         float64[H, W] of whole numbers, and what stands for 1 among them. Of float32 they are
@@ -65,7 +65,7 @@ def quantum(quantized: Quantized) -> float:
 
 
 def certainty(quantized: Quantized) -> int:
-    """What stands for P(occupied) = 1: 255, 65535, or 1 of float32."""
+    """The level of P(occupied) = 1: 255, 65535, or 1 for float32."""
     return _TOP.get(quantized.dtype, 1)
 
 
@@ -78,7 +78,7 @@ class Thresholds:
 
     @property
     def free_at_most(self) -> Fraction:
-        """A cell is free if p <= this; exact for the decimal that was asked for."""
+        """A cell is free if p <= this; exact for the given decimal."""
         return (1 - Fraction(str(self.delta_free))) / 2
 
     @property
@@ -88,7 +88,7 @@ class Thresholds:
 
 
 def threshold(quantized: Quantized, thresholds: Thresholds) -> Grid:
-    """int8[H, W]: free, occupied, or unknown where the prediction is not sure enough.
+    """int8[H, W]: free, occupied, or unknown where the prediction is not confident.
 
     Integer predictions are compared exactly, float32 ones with the threshold rounded to
     float32. A value that satisfies both is free.
@@ -116,7 +116,7 @@ def sure_levels(quantized: Quantized, thresholds: Thresholds) -> tuple[float, fl
 
 @lru_cache(maxsize=8)
 def _classes_of_levels(dtype: np.dtype[np.unsignedinteger], thresholds: Thresholds) -> Grid:
-    """int8[top + 1]: what each level of an integer prediction is taken for."""
+    """int8[top + 1]: the cell of each level of an integer prediction."""
     levels = np.arange(_TOP[dtype] + 1, dtype=dtype)
     free, occupied = sure_levels(cast("Quantized", levels), thresholds)
     classes = np.full(levels.size, UNKNOWN, np.int8)
@@ -138,7 +138,7 @@ def overlay(observed: Grid, predicted: Grid) -> Grid:
 
 
 def fuse(observed: Grid, quantized: Quantized | None, thresholds: Thresholds) -> Grid:
-    """The fused map: the observed one, completed where the prediction is sure.
+    """The fused map: the observed map, completed where the prediction is confident.
 
     Without a prediction it is the observed map itself.
     """

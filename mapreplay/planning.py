@@ -1,4 +1,4 @@
-"""What a planner plans with: shortest paths, the frontier, and a situation to decide in."""
+"""The input of planners: shortest paths, the frontier, and the situation."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ Float64s = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Paths:
-    """Shortest paths from one cell to all that can be reached over free cells (8-connected).
+    """Shortest paths from one cell to all reachable free cells (8-connected).
 
-    A cost is the integer pair (straight, diagonal), worth straight + diagonal * sqrt 2, so
+    A cost is the integer pair (straight, diagonal) for straight + diagonal * sqrt 2, so
     that equal costs are equal.
     """
 
@@ -60,11 +60,11 @@ def shortest_paths(plan_map: Grid, agent: Cell) -> Paths:
 
 
 def frontier(paths: Paths, build_map: Grid) -> Cells:
-    """int32[n, 2], row-major: cells within reach that touch an unknown cell of `build_map`.
+    """int32[n, 2], row-major: reachable cells adjacent to an unknown cell of `build_map`.
 
-    `paths` are over the free cells of the map that is planned on (E); `build_map` is the map
-    under construction (U). Touching is by 4-neighbourhood; if no cell does, by
-    8-neighbourhood, so that corners can be finished.
+    `paths` are over the free cells of the planning map (E); `build_map` is the target map (U).
+    Adjacent means the 4-neighbourhood; if there is no such cell, the 8-neighbourhood, so that
+    corners can be finished.
     """
     for neighbours in (4, 8):
         cells: Cells = kernels.touching_unknown(
@@ -77,13 +77,13 @@ def frontier(paths: Paths, build_map: Grid) -> Cells:
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """All that a planner may look at: maps, pose, the last target, chance. No truth."""
+    """Everything that a planner may use: maps, pose, the last target, random numbers. No truth."""
 
     agent: Cell
     plan_map: Grid
-    """int8[H, W], E: the map that is planned on."""
+    """int8[H, W], E: the planning map."""
     build_map: Grid
-    """int8[H, W], U: the map under construction, whose unknown cells make the frontier."""
+    """int8[H, W], U: the target map, whose unknown cells define the frontier."""
     observed: Grid
     """int8[H, W]."""
     prediction: Quantized | None
@@ -103,7 +103,7 @@ class Situation:
 
     @property
     def previous_index(self) -> int | None:
-        """The place of the last target in the frontier; None if it is no frontier cell any more."""
+        """The index of the last target in the frontier; None if it is no longer a frontier cell."""
         if self.previous_target is None:
             return None
         same = np.flatnonzero((self.frontier == self.previous_target).all(axis=1))
@@ -111,7 +111,7 @@ class Situation:
 
     @cached_property
     def uncertainty(self) -> Float64s:
-        """float64[H, W]: 1 - c, what is to be gained by seeing a cell, in [0, 1].
+        """float64[H, W]: 1 - c, the gain of observing a cell, in [0, 1].
 
         c is 1 where a cell was observed, else |2 p - 1| when planning on the fused map and
         0 when planning on observations.
@@ -132,7 +132,7 @@ class Situation:
         """float64[n]: the sum of `uncertainty` over the cells that the sensor would mark from
         each frontier cell on `plan_map`, where unknown cells are transparent.
 
-        Equal sums are equal, in whatever order the rays meet the cells.
+        Equal sums are equal in any order of the rays.
         """
         levels, top = self._doubt
         return self.sums_in_view(levels) / top

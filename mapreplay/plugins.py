@@ -1,7 +1,7 @@
 """Planners, predictors, floor-plan sources and metrics by name, through entry points.
 
-Our own come through the same door as anybody's. Listing loads nothing; a plug-in that
-cannot be loaded is named with its distribution when it is asked for, and harms no other.
+Ours are registered like those of other packages. Listing loads nothing; a plug-in that cannot
+be loaded is reported with its distribution when it is used, and does not affect others.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from mapreplay.errors import MapreplayError, PluginError
 
 
 class PluginKind(StrEnum):
-    """The entry-point groups, and what one of each is called with."""
+    """The entry-point groups, and the signatures of their factories."""
 
     PLANNERS = "mapreplay.planners"
     """() -> mapreplay.planners.Planner"""
@@ -29,14 +29,14 @@ class PluginKind(StrEnum):
 
     @property
     def noun(self) -> str:
-        """What one is called in messages."""
+        """The name of the kind in messages."""
         return {"planners": "planner", "predictors": "predictor", "floorplans": "floor-plan source",
                 "metrics": "metric"}[self.value.rpartition(".")[2]]  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Plugin:
-    """A name and who provides it."""
+    """A name and the distribution that provides it."""
 
     name: str
     distribution: str
@@ -44,10 +44,10 @@ class Plugin:
 
 
 def available(kind: PluginKind) -> dict[str, Plugin]:
-    """All plug-ins of a group by name, sorted; nothing is imported.
+    """All plug-ins of a kind by name, sorted; nothing is imported.
 
-    Of two with one name ours wins, so that an installed package cannot silently change what
-    a built-in name means.
+    If two have the same name, ours wins, so that an installed package cannot silently change the
+    meaning of a built-in name.
     """
     found: dict[str, Plugin] = {}
     for entry in entry_points(group=kind.value):
@@ -61,7 +61,7 @@ def find(kind: PluginKind, name: str) -> Plugin:
     """The plug-in called `name`; nothing is imported.
 
     Raises:
-        PluginError: there is none.
+        PluginError: it is unknown.
     """
     plugins = available(kind)
     if name not in plugins:
@@ -73,7 +73,7 @@ def load(kind: PluginKind, name: str) -> Callable[..., Any]:
     """The factory called `name`.
 
     Raises:
-        PluginError: there is none, or importing it failed.
+        PluginError: it is unknown, or its import failed.
     """
     plugin = find(kind, name)
     try:

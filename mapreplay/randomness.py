@@ -1,4 +1,4 @@
-"""Counter-based random numbers: any draw can be made again from its counters alone.
+"""Counter-based random numbers: any draw can be recomputed from its counters alone.
 
 Only the raw output of Philox is used, because that is the same in every version of NumPy
 and on every machine; the methods of ``numpy.random.Generator`` promise neither.

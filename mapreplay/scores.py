@@ -25,7 +25,7 @@ Reals: TypeAlias = npt.NDArray[np.float64]
 
 
 class UnknownAs(StrEnum):
-    """What a cell that the map does not know counts as."""
+    """How unknown cells of the map are counted."""
 
     FREE = "free"
     OCCUPIED = "occupied"
@@ -34,7 +34,7 @@ class UnknownAs(StrEnum):
 
 @dataclass(frozen=True)
 class MapScore:
-    """Of the occupied class; each in [0, 1], or NaN where it is undefined."""
+    """Scores of the occupied class; each in [0, 1], or NaN where undefined."""
 
     precision: float
     recall: float
@@ -48,12 +48,12 @@ class Coverage:
 
     known: float
     correct: float
-    """Known and right."""
+    """Known and correct."""
 
 
 @dataclass(frozen=True)
 class PredictionScore:
-    """Of P(occupied); NaN where no cell counts."""
+    """Scores of P(occupied); NaN if no cell is scored."""
 
     brier: float
     """Mean squared error of the probability, in [0, 1]."""
@@ -93,7 +93,7 @@ def score(counts: Counts, unknown_as: UnknownAs = UnknownAs.FREE) -> MapScore:
 
 
 def coverage(counts: Counts) -> Coverage:
-    """Known, and known and right, among all cells counted (the explorable ones)."""
+    """Shares of known cells, and of known and correct cells, among all explorable cells."""
     total = int(counts.sum())
     known = int(counts[1:].sum())
     right = int(counts[1, 1] + counts[2, 2])
@@ -103,8 +103,8 @@ def coverage(counts: Counts) -> Coverage:
 def calibration(p_wall: Quantized, truth: Grid, region: Mask) -> PredictionScore:
     """Brier score and log loss of `p_wall` (as it is logged, [H, W]) on the cells of `region`.
 
-    The log loss clips to half of the step between two probabilities as logged, so that a
-    certain error costs much and not everything.
+    The log loss clips to half of the step between two probabilities as logged, so that the
+    loss of a certain error is large but finite.
     """
     if p_wall.dtype == np.float32:
         levels, wall = p_wall[region], truth[region] > 0
@@ -120,7 +120,7 @@ def calibration(p_wall: Quantized, truth: Grid, region: Mask) -> PredictionScore
 
 
 def _penalties(levels: Quantized, wall: Mask) -> tuple[Reals, Reals]:
-    """Squared error and -log of the probability that was given to the truth, of each cell."""
+    """Squared error and -log of the probability of the truth, for each cell."""
     p, half = mapping.dequantize(levels), mapping.quantum(levels) / 2
     said = np.clip(np.where(wall, p, 1 - p), half, 1 - half)
     return (p - wall) ** 2, -np.log(said)

@@ -51,7 +51,7 @@ def _offsets(rays: int, reach: int) -> npt.NDArray[np.int64]:
 
 @lru_cache(maxsize=8)
 def _distances(rays: int, reach: int) -> npt.NDArray[np.float64]:
-    """float64[rays, reach]: how far each cell of each ray is from the agent, in cells."""
+    """float64[rays, reach]: distance of each cell of each ray from the agent, in cells."""
     offsets = _offsets(rays, reach)
     distances: npt.NDArray[np.float64] = np.hypot(offsets[..., 0], offsets[..., 1])
     distances.setflags(write=False)
@@ -59,11 +59,11 @@ def _distances(rays: int, reach: int) -> npt.NDArray[np.float64]:
 
 
 Hits = npt.NDArray[np.int16]
-"""int16[rays]: the k in 1..reach of the cell that stopped each ray, 0 where nothing did."""
+"""int16[rays]: the k in 1..reach of the cell that stopped each ray, 0 if none did."""
 
 
 def sense(truth: Grid, agent: Cell, sensor: Sensor) -> Hits:
-    """What the rays hit from `agent` (a free cell); whatever is not free stops a ray.
+    """The hits of the rays from `agent` (a free cell); cells that are not free stop a ray.
 
     A ray that leaves the grid hits nothing.
     """

@@ -1,7 +1,6 @@
-"""Digests of our own code, for what is believed only of the same code.
+"""Digests of the package's code, for results that are valid for the same code only.
 
-Of all of it for what is kept in a cache; of what some modules import for what is published, which
-holds as long as that does.
+A cache takes the digest of all code; training and experiments that of the modules that they import.
 """
 
 from __future__ import annotations
@@ -53,8 +52,8 @@ def code_digest(package: Path = _ROOT) -> bytes | None:
 def source_digest(*modules: str) -> str:
     """SHA-256 (hex) of the source of `modules` and of all of this package that they import.
 
-    Also what they import only inside of functions. A package that is imported counts with all its
-    modules, because those of plug-ins (planners, predictors) are imported by nobody by name.
+    Imports inside of functions count, too. An imported package counts with all its modules,
+    because plug-ins (planners, predictors) are not imported by name.
 
     Raises:
         FileNotFoundError: there is no such module.

@@ -1,4 +1,4 @@
-"""The stages of a step as pure functions: what the simulator does, and `verify` does again.
+"""The stages of a step as pure functions, used by the simulator and by `verify`.
 
 observed --predict--> p_wall --fuse--> fused --measure--> metrics      (what is known)
 look_around --> outcome_of, decide, events_of                          (what follows: `make_step`)
@@ -39,34 +39,34 @@ from mapreplay.step import (
 
 @dataclass(frozen=True)
 class Travelled:
-    """How far the agent has come, as an integer pair, so that equal ways are equally long."""
+    """The distance travelled, as an integer pair, so that equal paths have equal lengths."""
 
     straight: int = 0
     diagonal: int = 0
 
     def to(self, before: Cell, after: Cell) -> Travelled:
-        """With the way from one cell to another added.
+        """The distance after a move from one cell to another.
 
-        Ours are neighbours; between those of a log that leaves out poses, the shortest way
-        over open space counts.
+        Our moves are between neighbours; for external logs with larger moves, the shortest path
+        over open space is added.
         """
         rows, cols = abs(after.row - before.row), abs(after.col - before.col)
         diagonal = min(rows, cols)
         return Travelled(self.straight + max(rows, cols) - diagonal, self.diagonal + diagonal)
 
     def metres(self, resolution: float) -> float:
-        """The length of the way; `resolution` is in metres a cell."""
+        """The distance in metres; `resolution` is in metres per cell."""
         return (self.straight + self.diagonal * SQRT2) * resolution
 
 
 @dataclass(frozen=True, eq=False)
 class Past:
-    """What a step takes over from those before it."""
+    """The state that a step takes over from the steps before."""
 
     index: int
-    """Of the step."""
+    """Index of the step."""
     agent: Cell
-    """Where it is at the step."""
+    """Position of the agent at the step."""
     travelled: Travelled
     observed: Grid
     """int8[H, W], before the step's scan."""
@@ -76,7 +76,7 @@ class Past:
     corrected: bool
     """The target of correct coverage was reached before."""
     choice: str | None = None
-    """What the predictor last said that it chose; see `mapreplay.predictors.Choosing`."""
+    """The predictor's last reported choice; see `mapreplay.predictors.Choosing`."""
 
     @classmethod
     def at_start(cls, header: EpisodeHeader) -> Past:
@@ -102,16 +102,16 @@ class Past:
 
 
 def chosen_at(step: Step) -> str | None:
-    """What the predictor said at `step` that it chose; None if nothing new."""
+    """The choice that the predictor reported at `step`; None if there is no new one."""
     said = [event.text for event in step.events if event.kind is EventKind.PREDICTOR]
     return said[-1] if said else None
 
 
 def predict(header: EpisodeHeader, predictor: Predictor, observed: Grid) -> Quantized | None:
-    """The prediction as it is used and logged: quantized.
+    """The prediction in its quantized form, as used and logged.
 
     Raises:
-        MapreplayError: the predictor returned something that is no P(occupied) of that map.
+        MapreplayError: the predictor returned no valid P(occupied) of that map.
     """
     raw = predictor.predict(observed)
     if raw is None:
@@ -129,7 +129,7 @@ def predict(header: EpisodeHeader, predictor: Predictor, observed: Grid) -> Quan
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """What the agent can go for at a step, and on which maps."""
+    """The maps of a step, and the targets that the agent can choose."""
 
     mode: Mode
     plan_map: Grid
@@ -139,10 +139,10 @@ class Surroundings:
 
 
 def look_around(config: EpisodeConfig, agent: Cell, observed: Grid, fused: Grid) -> Surroundings:
-    """The frontier of the configured maps, or of the observed ones where that is the rule.
+    """Find the frontier on the configured maps, or on the observed map as described here.
 
-    When planning on observations finds no frontier of the fused map, that of the observed
-    map is taken. When fused/fused finds none, the agent is sealed in; with the fail-safe it
+    If the observed planning map has no frontier of the fused target map, the frontier of the
+    observed map is used. When fused/fused finds none, the agent is sealed in; with the fail-safe it
     plans on observations until the frontier is back.
     """
     maps = {MapKind.OBSERVED: observed, MapKind.FUSED: fused}
@@ -164,7 +164,7 @@ def look_around(config: EpisodeConfig, agent: Cell, observed: Grid, fused: Grid)
 def outcome_of(
     header: EpisodeHeader, index: int, metrics: StepMetrics, view: Surroundings
 ) -> Outcome | None:
-    """How the episode ends at step `index`, or None if it goes on."""
+    """The outcome of an episode that ends at step `index`, or None if it continues."""
     config = header.config
     if metrics.coverage(config.build) >= config.coverage:
         return Outcome.MAPPED
@@ -183,7 +183,7 @@ def events_of(
     outcome: Outcome | None,
     choice: str | None = None,
 ) -> tuple[Event, ...]:
-    """What is worth a line in the log of a step; `choice`: what the predictor chose for it."""
+    """The events of a step; `choice` is the predictor's choice."""
     config, events = header.config, []
     if choice is not None and choice != past.choice:
         events.append(Event(EventKind.PREDICTOR, choice))
@@ -212,7 +212,7 @@ def ask(
     p_wall: Quantized | None,
     view: Surroundings,
 ) -> Choice:
-    """What the planner makes of the frontier of `view`: a rating of each of its cells.
+    """The planner's rating of the frontier of `view`.
 
     Raises:
         MapreplayError: the planner's answer does not fit the frontier.
@@ -250,7 +250,7 @@ def decide(
     p_wall: Quantized | None,
     view: Surroundings,
 ) -> Decision:
-    """Ask the planner, and write down what it chose and what it left.
+    """The planner's decision, with the best alternatives.
 
     Raises:
         MapreplayError: the planner's answer does not fit the frontier.
@@ -270,7 +270,7 @@ def decide(
 
 
 def _candidates(view: Surroundings, choice: Choice, indices: list[int]) -> tuple[Candidate, ...]:
-    """The frontier cells of those numbers, with how they were rated."""
+    """The frontier cells with the given indices, and their ratings."""
     cells = view.frontier[indices]
     rows, cols = cells[:, 0], cells[:, 1]
     return tuple(
@@ -293,19 +293,19 @@ class Knowledge:
     hits: Hits
     observed: Grid
     p_wall: Quantized | None
-    """As it is used and logged."""
+    """The prediction as used and logged."""
     fused: Grid
     metrics: StepMetrics
     choice: str | None = None
-    """What the predictor said that it chose; see `mapreplay.predictors.Choosing`."""
+    """The predictor's reported choice; see `mapreplay.predictors.Choosing`."""
 
 
 Decide: TypeAlias = Callable[[Surroundings], Decision | None]
-"""Makes a decision of what can be gone for; it is not asked where the episode ends."""
+"""Makes a decision; not called at the end of the episode."""
 
 
 def make_step(header: EpisodeHeader, past: Past, known: Knowledge, decide: Decide) -> Step:
-    """The step that follows from what is known: frontier, outcome, decision and events."""
+    """Make the step from what is known: frontier, outcome, decision and events."""
     view = look_around(header.config, past.agent, known.observed, known.fused)
     outcome = outcome_of(header, past.index, known.metrics, view)
     return Step(

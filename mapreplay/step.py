@@ -52,7 +52,7 @@ class Outcome(StrEnum):
 
 
 class EventKind(StrEnum):
-    """What is worth a line in the log's events."""
+    """The kinds of events in a log."""
 
     SEALED_IN = "sealed_in"
     RELEASED = "released"
@@ -254,9 +254,9 @@ class EpisodeHeader:
     versions: tuple[tuple[str, str], ...]
     """(library, version) of what the result depends on, sorted."""
     simulator: str = OURS
-    """Who made the steps: ours, or the name of another, whose steps cannot be made again."""
+    """Who made the steps: ours, or the name of another, whose steps cannot be recomputed."""
     branch: Branch | None = None
-    """Of an episode that was run on from a step of another log."""
+    """Origin of an episode that was resumed from a step of another log."""
 
     def __repr__(self) -> str:
         c, plan = self.config, self.floor_plan

@@ -1,8 +1,8 @@
-"""Text that comes from files, made safe for people to read and for shells to run.
+"""Makes text from files safe to print and to paste into a shell.
 
-Names, ids, planners, events and other libraries' errors are data: none of it may move a cursor,
-set a window's title, turn the reading direction, hide a part of a name or look like two lines.
-Each medium has one place more where its own rules are kept: `mapreplay.cli.output` the terminal,
+Names, IDs, planners, events and errors of libraries are data: they must not move the cursor, set
+a window's title, change the reading direction, hide a part of a name or look like two lines.
+Each medium has one module for its own rules: `mapreplay.cli.output` the terminal,
 `mapreplay.analysis.reporting.figures` figures, `mapreplay.analysis.reporting.page` HTML,
 `mapreplay.recorders.pictures.canvas` pictures.
 """
@@ -20,18 +20,18 @@ _HIDDEN: Final = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
 """Categories of Unicode: controls, formats (bidi overrides, zero-width), surrogates and line ends.
 """
 _BLANK: Final = frozenset("\u034f\u115f\u1160\u17b4\u17b5\u3164\uffa0")
-"""Letters and marks that are drawn as nothing."""
+"""Letters and marks that are invisible."""
 _MARKDOWN: Final = re.compile(r"[\\`*_{}\[\]<>#|~&$]")
 _SHORT: Final = {"\n": r"\n", "\r": r"\r", "\t": r"\t"}
 
 
 def printable(text: str) -> str:
-    r"""`text` in one line, in which everything that is not drawn is written as an escape.
+    r"""`text` in one line, with everything invisible escaped.
 
-    These are control characters (C0, DEL, C1, so also ESC and line ends), lone surrogates, of
-    which names that are not UTF-8 have some, what turns the reading direction, zero-width
-    characters and noncharacters: ``\n``, ``\x1b``, ``\u202e``, ``\udcff``, ``\U000e0001``. All
-    else stays as it is, also backslashes; the same text twice is the same as once.
+    These are control characters (C0, DEL, C1, so also ESC and line ends), lone surrogates
+    (in names that are not UTF-8), changes of the reading direction, zero-width characters and
+    noncharacters: ``\n``, ``\x1b``, ``\u202e``, ``\udcff``, ``\U000e0001``. The
+    rest is unchanged, including backslashes, so that the function is idempotent.
     """
     if text.isascii() and text.isprintable():
         return text
@@ -39,12 +39,12 @@ def printable(text: str) -> str:
 
 
 def one_line(text: object) -> str:
-    """A library's message, which may have several lines: `printable`, each white space a blank."""
+    """A library's message in one line: `printable`, with white space replaced by blanks."""
     return printable(" ".join(str(text).split()))
 
 
 def shortened(text: str, room: int) -> str:
-    """`text`, `printable`, in at most `room` characters: a longer one loses its middle."""
+    """`printable` text of at most `room` characters; the middle of longer texts is left out."""
     text = printable(text)
     if len(text) <= room:
         return text
@@ -53,16 +53,16 @@ def shortened(text: str, room: int) -> str:
 
 
 def markdown(text: str) -> str:
-    """`text`, `printable`, to be put into Markdown, so that it is shown as it is."""
+    """`printable` text, escaped so that Markdown shows it as it is."""
     return _MARKDOWN.sub(r"\\\g<0>", printable(text))
 
 
 def shell_command(words: Iterable[str | PurePath]) -> str:
-    r"""A command line that a shell reads as exactly these words, to be copied by people.
+    r"""A command line that a shell reads as exactly these words.
 
     A path that begins with a dash gets ``./`` before it, so that it is not taken for an option.
     Words with characters that are not `printable` are quoted as ``$'\n'``, which bash, zsh and
-    POSIX of 2024 know.
+    POSIX 2024 support.
     """
     return " ".join(_shell_word(word) for word in words)
 

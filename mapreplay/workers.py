@@ -1,9 +1,9 @@
 """Child processes that end with their parent, however it ends.
 
-The one way to start a process. A child is in a process group of its own, so that Ctrl-C reaches
-the parent alone, which decides what it means; and it watches its parent, so that it ends when that
-is killed, when its terminal is closed, or when it fails. What a child was doing when it died is
-known, and only that is lost.
+Every process is started here. A child is in its own process group, so that Ctrl-C reaches only
+the parent, which decides what to do; and it watches its parent, so that it ends when the parent is
+killed, its terminal is closed, or it fails. When a child dies, only the item that it was working on
+is lost, and is reported.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 _SMALL: Final = 1 << 15
-"""Bytes that always fit into a pipe, so that nobody waits for a worker to read them."""
+"""Bytes that always fit into a pipe, so that the writer does not wait for a worker."""
 _KEEPER: Final = Path(__file__).with_name("keeper.py")
 _CLOSE_SECONDS: Final = 10.0
-"""In which a program that was asked to should have ended."""
+"""Seconds that a program has to end after it was asked to."""
 _STOP_SECONDS: Final = 5.0
-"""In which a worker that was asked to should have ended."""
+"""Seconds that a worker has to end after it was asked to."""
 
 
 class DiedError(MapreplayError):
@@ -49,7 +49,7 @@ class DiedError(MapreplayError):
 
 @dataclass(frozen=True)
 class Said(Generic[R]):
-    """Something that came of an item; the item may go on."""
+    """A result of an item, possibly not the last one."""
 
     item: int
     """Number of the item."""
@@ -58,14 +58,14 @@ class Said(Generic[R]):
 
 @dataclass(frozen=True)
 class Ended:
-    """All of an item was said."""
+    """An item is done."""
 
     item: int
 
 
 @dataclass(frozen=True)
 class Died:
-    """The process that worked on an item is dead, and what was left of the item is lost."""
+    """The process that worked on an item has died, and the rest of the item is lost."""
 
     item: int
     how: str
@@ -84,7 +84,7 @@ class Worker(Generic[T, R]):
     """A process that does one kind of work, one item after the other.
 
     Args:
-        work: A function of a module: what comes of an item, one thing after the other.
+        work: A function of a module, which yields the results of an item.
         shares_memory: Whether the process is a copy of this one, so that `work` may hold anything,
             which is not copied (POSIX only); otherwise `work` and items are pickled.
     """
@@ -122,7 +122,7 @@ class Worker(Generic[T, R]):
         return self._items
 
     def give(self, number: int, item: T) -> None:
-        """Hand over an item; `number` is what `Event` calls it."""
+        """Hand over an item; `number` is its number in `Event`."""
         self._items.append(number)
         self._send((item,))
 
@@ -131,7 +131,7 @@ class Worker(Generic[T, R]):
             self.connection.send(what)
 
     def receive(self) -> Event[R]:
-        """What the process says next; waits for it.
+        """Wait for the next event of the process.
 
         Raises:
             BaseException: what the work raised.
@@ -157,12 +157,12 @@ class Worker(Generic[T, R]):
         return f"exit code {code}"
 
     def ask_to_end(self) -> None:
-        """Ask the process to end after what it says next."""
+        """Ask the process to end after its next event."""
         self._send(None)
         self.connection.close()
 
     def end(self, seconds: float = 0.0) -> None:
-        """End the process, at the latest after so many seconds.
+        """End the process, at the latest after the given number of seconds.
 
         One that shares our memory may hold the connections of its siblings, too, and a sibling
         that is telling us something would not notice that we have closed ours.
@@ -178,8 +178,7 @@ def run_each(
 ) -> Generator[Event[R], None, None]:
     """Work on all items with `jobs` processes; events come as they happen.
 
-    Closing the generator stops the processes, each after what it says next, or after five seconds
-    if it says nothing.
+    Closing the generator stops the processes, each after its next event, or after five seconds.
 
     Raises:
         BaseException: what `work` raised; it ends the rest.
@@ -271,8 +270,8 @@ def in_order(
                     yield said.what
                     continue
             died = ended if isinstance(ended, Died) else said
-            how = died.how if isinstance(died, Died) else "it said nothing"
-            raise DiedError(f"a worker process died ({how}), perhaps for want of memory")
+            how = died.how if isinstance(died, Died) else "it reported nothing"
+            raise DiedError(f"a worker process died ({how}), perhaps out of memory")
     finally:
         for worker in workers:
             worker.end()
@@ -370,7 +369,7 @@ def _end_after(sentinel: int) -> None:
 
 @contextmanager
 def _ignoring_interrupts() -> Iterator[None]:
-    """What is started in here ignores Ctrl-C, from its first instruction on."""
+    """Processes that are started within the block ignore Ctrl-C from the beginning."""
     if threading.current_thread() is not threading.main_thread():
         yield  # only the main thread may change how signals are handled
         return
@@ -391,7 +390,7 @@ class Program:
     def __init__(
         self, arguments: Sequence[str | Path], environment: Mapping[str, str] | None = None
     ) -> None:
-        """Start it; it reads nothing, and what it says is thrown away."""
+        """Start it without input; its output is discarded."""
         self._process = subprocess.Popen(  # noqa: S603
             [sys.executable, "-I", "-S", _KEEPER, *arguments],
             stdin=subprocess.PIPE,

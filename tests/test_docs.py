@@ -1,5 +1,6 @@
-"""The documents: links lead somewhere, commands exist, and the words are those of the field."""
+"""Documents and messages: links lead somewhere, commands exist, words are those of the field."""
 
+import ast
 import re
 import shlex
 from collections.abc import Iterator
@@ -7,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import typer
 import typer.main
 
 from mapreplay.cli import app
@@ -99,16 +101,26 @@ def test_every_command_has_its_verb_and_options(page: Path, command_line: Any) -
             assert words[at] in command.commands, " ".join(words)
             command, at = command.commands[words[at]], at + 1
         known = {"--help", "-h"}
-        for option in command.params:
+        for option in command.get_params(typer.Context(command)):
             known |= {*option.opts, *option.secondary_opts}
         for word in words[at:]:
             if re.match(r"--?[a-z]", word):
                 assert word.partition("=")[0] in known, " ".join(words)
 
 
-@every_page
-def test_the_words_are_plain(page: Path) -> None:
-    text = " ".join(prose(page).split())
+def assert_plain(text: str) -> None:
     for word in NOT_OUR_WORDS:
         found = re.search(rf"\b{word}\b", text, re.IGNORECASE)
         assert found is None, text[max(found.start() - 40, 0) : found.end() + 40]
+
+
+@every_page
+def test_the_words_are_plain(page: Path) -> None:
+    assert_plain(" ".join(prose(page).split()))
+
+
+def test_the_words_of_help_messages_and_docstrings_are_plain() -> None:
+    for path in (ROOT / "mapreplay").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                assert_plain(" ".join(node.value.split()))

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 GROUP_WIDTH: Final = 20
-"""Columns of a group's name in a table."""
+"""Width of a group's name in a table, in columns."""
 SHORT: Final = {
     "mapping time": "time",
     "path to target": "path m",
@@ -40,7 +40,7 @@ SHORT: Final = {
     "coverage area": "area",
     "regret": "regret",
 }
-"""What a measure is called above a column."""
+"""Short names of measures for column heads."""
 
 
 def compare(

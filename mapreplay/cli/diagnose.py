@@ -108,7 +108,7 @@ def _form(form: Format, output: Path | None) -> Format:
 
 
 def _diagnose(paths: list[Path], where: list[str] | None) -> tuple[dict[str, Diagnosis], int]:
-    """The diagnoses by file, and how many logs could not be read or were cut short."""
+    """The diagnoses by file, and the number of unreadable or incomplete logs."""
     from mapreplay.analysis.diagnosis.diagnosis import diagnose as diagnose_log
     from mapreplay.cli.progress import progress_bar
     from mapreplay.recorders.log.blame import blaming

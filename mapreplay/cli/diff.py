@@ -1,4 +1,4 @@
-"""`mapreplay diff`: where two episodes part, and what it led to; or two folders of them."""
+"""`mapreplay diff`: where and why two episodes, or two folders of episodes, diverge."""
 
 from __future__ import annotations
 
@@ -43,16 +43,19 @@ def diff(
     b: Side,
     where: WhereOption = None,
     exit_code: Annotated[
-        bool, typer.Option("--exit-code", help="Exit 1 if they differ, 4 if that failed.")
+        bool,
+        typer.Option(
+            "--exit-code", help="Exit with 1 if they differ, with 4 if the comparison failed."
+        ),
     ] = False,
     form: FormatOption = Format.TABLE,
     output: OutputOption = None,
     force: ForceOption = False,
 ) -> None:
-    """Show where two episodes part, why, and what it led to.
+    """Show where and why two episodes diverge, and the consequences.
 
     Two folders: pairs episodes by floor plan, start and seed, and ranks them by difference.
-    Episodes are identical only if they are the same bit for bit.
+    Episodes are identical only if they are the same, bit for bit.
     """
     check_outputs(output, force=force)
     try:

@@ -24,24 +24,27 @@ def experiment(
     ],
     out: Annotated[
         Path,
-        typer.Option("--out", "-o", help="Folder for the results; goes on where it stopped."),
+        typer.Option("--out", "-o", help="Folder for the results; resumes where it stopped."),
     ],
     floorplans: Annotated[
         list[str] | None,
-        typer.Option(help="NAME=SPEC: where the floor plans of that dataset are."),
+        typer.Option(help="NAME=SPEC: source of the floor plans of a dataset; can be repeated."),
     ] = None,
     dataset: Annotated[
         list[str] | None, typer.Option(help="Only this dataset; can be repeated.")
     ] = None,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Processes (default: all cores).")] = None,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Number of processes (default: all cores).")
+    ] = None,
     report_only: Annotated[
-        bool, typer.Option("--report-only", help="Simulate nothing; tables and figures again.")
+        bool, typer.Option("--report-only", help="Recreate tables and figures without simulating.")
     ] = False,
     keep_logs: Annotated[
         bool, typer.Option("--keep-logs", help="Keep every step, and not only the scalars.")
     ] = False,
     docs: Annotated[
-        Path | None, typer.Option(help="Also renew the generated parts of results.md there.")
+        Path | None,
+        typer.Option(help="Folder in which to update the generated parts of results.md."),
     ] = None,
 ) -> None:
     """Run planners on floor plans with and without prediction; tables and figures with intervals.

@@ -14,13 +14,13 @@ from mapreplay.errors import UsageError
 
 def export(
     log: LogArgument,
-    npz: Annotated[Path | None, typer.Option(help="Write all arrays into this .npz.")] = None,
-    png: Annotated[Path | None, typer.Option(help="Write the maps into this folder.")] = None,
+    npz: Annotated[Path | None, typer.Option(help="Write all arrays to this .npz file.")] = None,
+    png: Annotated[Path | None, typer.Option(help="Write the maps to this folder.")] = None,
     step: Annotated[
         list[int] | None,
-        typer.Option(help="Steps to draw, can be repeated; -1 is the last (default)."),
+        typer.Option(help="Step to draw; -1 is the last (default); can be repeated."),
     ] = None,
-    scale: Annotated[int, typer.Option(min=1, max=64, help="Pixels a cell.")] = 8,
+    scale: Annotated[int, typer.Option(min=1, max=64, help="Pixels per cell.")] = 8,
     force: ForceOption = False,
 ) -> None:
     """Write a log's arrays as npz and its maps as PNG."""

@@ -1,4 +1,4 @@
-"""`mapreplay info`: everything that one log says of itself."""
+"""`mapreplay info`: the metadata of one log."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def info(
     output: OutputOption = None,
     force: ForceOption = False,
 ) -> None:
-    """Show what one log says of itself.
+    """Show the metadata of one log.
 
     Configuration, floor plan, predictor, versions, how it ended, and its events.
     """

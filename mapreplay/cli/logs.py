@@ -1,4 +1,4 @@
-"""The arguments that every verb on logs has: paths, and `--where`."""
+"""Arguments that the verbs on logs share: paths and `--where`."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ WhereOption = Annotated[
 
 
 def choose(paths: list[Path], where: list[str] | None) -> tuple[list[EpisodeRow], int]:
-    """The rows of `read_episodes`, and how many files could not be read, or not whole.
+    """The rows of `read_episodes`, and the number of files that are unreadable or incomplete.
 
     Raises:
-        LogError: nothing is there, or nothing that can be read.
+        LogError: there is no log, or none can be read.
     """
     episodes, unreadable = read_episodes(paths, where)
     return [episode.row for episode in episodes], unreadable
@@ -51,11 +51,11 @@ def choose(paths: list[Path], where: list[str] | None) -> tuple[list[EpisodeRow]
 def read_episodes(
     paths: list[Path], where: list[str] | None, jobs: int = 1
 ) -> tuple[list[LoggedEpisode], int]:
-    """The episodes found at `paths` that satisfy all conditions, in order, and how many files
-    could not be read, or are not whole; what is wrong is said on stderr.
+    """The episodes at `paths` that satisfy all conditions, in order, and the number of files that
+    are unreadable or incomplete; these are reported on stderr.
 
     Raises:
-        LogError: nothing is there, or nothing that can be read.
+        LogError: there is no log, or none can be read.
     """
     from mapreplay.recorders.log.find import find_logs
 

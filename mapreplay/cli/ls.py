@@ -1,4 +1,4 @@
-"""`mapreplay ls`: episodes, one a row."""
+"""`mapreplay ls`: one episode per row."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def ls(
     output: OutputOption = None,
     force: ForceOption = False,
 ) -> None:
-    """List episodes: what was run and how it ended."""
+    """List episodes with their configuration and outcome."""
     check_outputs(output, force=force)
     rows, unreadable = choose(paths, where)
     from mapreplay.analysis.episodes.summary import brief, episode_frame

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 STEP_COLUMNS: Final = ("step", "coverage_observed", "coverage_fused", "correct_coverage_fused",
                        "f1", "iou", "ece_unobserved", "auroc_unobserved")  # fmt: skip
 SHOWN: Final = 3
-"""Copies of logs that are named."""
+"""Maximum number of copies that are named."""
 SHORT: Final = {
     "coverage_observed": "observed",
     "coverage_fused": "fused",
@@ -156,7 +156,7 @@ def _tell_lost_results(store: Store, measured: list[MeasuredLog]) -> None:
 def _measure(
     logs: list[Path], store: Store, scope: Scope, further: list[str], jobs: int | None
 ) -> tuple[list[MeasuredLog], int]:
-    """The measured logs in order, and how many could not be read; each is named on stderr."""
+    """The measured logs in order, and the number of unreadable ones; each is reported on stderr."""
     from mapreplay.analysis.metrics.many import MeasuredLog, measure_logs
     from mapreplay.analysis.pool import default_jobs
     from mapreplay.cli.progress import progress_bar
@@ -179,7 +179,7 @@ def _measure(
 
 
 def _known_before(measured: Sequence[MeasuredLog]) -> int:
-    """Logs whose tables were there before this run: of copies the first may have been measured."""
+    """Number of logs whose tables were cached before this run; the first of copies may be new."""
     groups: dict[str, list[MeasuredLog]] = {}
     for log in measured:
         groups.setdefault(log.key, []).append(log)
@@ -187,7 +187,7 @@ def _known_before(measured: Sequence[MeasuredLog]) -> int:
 
 
 def _brief(episodes: pl.DataFrame, further: list[str]) -> pl.DataFrame:
-    """Narrow enough for a terminal."""
+    """A table that is narrow enough for a terminal."""
     import polars as pl
 
     from mapreplay.analysis.episodes.summary import brief

@@ -1,4 +1,4 @@
-"""Results on stdout: one table, as text for people or as JSON, CSV or Parquet for programs."""
+"""Results on stdout: one table, as text, JSON, CSV or Parquet."""
 
 from __future__ import annotations
 
@@ -60,10 +60,9 @@ def emit(
     text: pl.DataFrame | Shown | None = None,
     force: bool = False,
 ) -> None:
-    """Print `frame`; for people `text` in its place, if that is given: a narrower table, or
-    several and lines between them.
+    """Print `frame`; as text, print `text` instead if given: a narrower table, or tables and lines.
 
-    The ending of `output` (.json, .csv, .parquet) says its format unless `form` does.
+    The ending of `output` (.json, .csv, .parquet) determines the format unless `form` does.
 
     `schema` names the kind of result and its version, such as ``mapreplay.ls/1``, in JSON.
 
@@ -95,7 +94,7 @@ def emit_parts(
     text: pl.LazyFrame,
     force: bool = False,
 ) -> None:
-    """Like `emit`, of a table that may not fit into memory: its `parts`, one after the other.
+    """Like `emit`, for a table that may not fit into memory: prints its `parts` in turn.
 
     Raises:
         UsageError, WriteError: see `emit`.
@@ -133,10 +132,10 @@ def _sink_parquet(parts: Sequence[pl.LazyFrame], file: IO[bytes], where: str) ->
 
 
 def check_outputs(*paths: Path | None, force: bool) -> None:
-    """Refuse files that cannot be written, or are named twice, before any work is done for them.
+    """Refuse outputs that cannot be written or are given twice, before any work is done.
 
     Raises:
-        UsageError: one is there and `force` is not given, or two are the same file.
+        UsageError: one exists and `force` is not given, or two are the same file.
         WriteError: one cannot be written.
     """
     named = [path for path in paths if path is not None]
@@ -147,7 +146,7 @@ def check_outputs(*paths: Path | None, force: bool) -> None:
 
 
 def _resolve(form: Format, output: Path | None) -> Format:
-    """The format that is meant, by the ending of the file if nothing else says so.
+    """The requested format; by default that of the file's ending.
 
     Raises:
         UsageError: Parquet to a terminal.
@@ -230,13 +229,13 @@ def _json_value(value: object) -> object:
 
 @dataclass(frozen=True)
 class Command:
-    """A command line among what people see: it is never wrapped, so that it can be copied."""
+    """A command line in a text; it is never wrapped, so that it can be copied."""
 
     words: Sequence[str | PurePath]
 
 
 Shown: TypeAlias = "Sequence[str | Command | pl.DataFrame]"
-"""What people see: lines, commands and tables."""
+"""A text: lines, commands and tables."""
 
 
 def _for_people(text: pl.DataFrame | Shown, *, wide: bool) -> str:
@@ -264,7 +263,7 @@ def _for_people(text: pl.DataFrame | Shown, *, wide: bool) -> str:
 
 
 def _text_table(frame: pl.DataFrame, *, wide: bool) -> str:
-    """A table for 80 columns: text that is the same in every row is said once, above it."""
+    """A table for 80 columns; text that is the same in every row is printed once, above it."""
     from rich import box
     from rich.console import Console
     from rich.table import Table
@@ -313,5 +312,5 @@ def _text_value(value: object) -> str:
 
 
 def _shown(text: str) -> str:
-    """Text of a table."""
+    """The text of a table cell."""
     return shortened(text, _LONGEST)

@@ -31,15 +31,18 @@ SHOWN: Final = 5
 def recover(
     paths: PathsArgument,
     remove: Annotated[
-        bool, typer.Option("--remove", help="Remove the unfinished file when all of it is saved.")
+        bool,
+        typer.Option(
+            "--remove", help="Remove the unfinished file after everything in it was recovered."
+        ),
     ] = False,
     form: FormatOption = Format.TABLE,
     output: OutputOption = None,
     force: ForceOption = False,
 ) -> None:
-    """Make whole files of unfinished, cut and damaged logs; exit 3 if anything is missing.
+    """Recover unfinished, truncated and damaged logs; exit with 3 if anything is missing.
 
-    Every step that can be read is kept under its number, also behind what is damaged. LOG stays.
+    Every readable step is kept under its number, also after damage. LOG is not changed.
     """
     check_outputs(output, force=force)
     import polars as pl

@@ -155,7 +155,7 @@ def _plan_tasks(settings: RunConfig, folder: Path, *, force: bool) -> tuple[list
 
 
 def _skip_finished(tasks: list[Task], predictor: Predictor) -> tuple[list[Path], list[Task]]:
-    """The logs that are finished, and the episodes that are left."""
+    """The finished logs, and the remaining episodes."""
     from mapreplay.recorders.resume import resume
 
     resumption = resume(tasks, predictor)
@@ -168,7 +168,7 @@ def _how_to_resume(folder: Path) -> str:
 
 
 def _record(tasks: list[Task], jobs: int) -> list[Path]:
-    """Record with a progress bar; the paths of the finished logs."""
+    """Record with a progress bar; returns the paths of the finished logs."""
     from contextlib import closing
 
     from mapreplay.cli.progress import progress_bar

@@ -1,4 +1,4 @@
-"""`mapreplay verify`: is what a log says true, bit for bit?"""
+"""`mapreplay verify`: check a log's integrity and reproducibility, bit for bit."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def verify(
     paths: PathsArgument,
     where: WhereOption = None,
     rerun: Annotated[
-        bool, typer.Option("--rerun", help="Run the episode again, and compare every array.")
+        bool, typer.Option("--rerun", help="Run the episode again and compare every array.")
     ] = False,
     rerun_from: Annotated[
         int | None,
@@ -45,12 +45,15 @@ def verify(
         ),
     ] = None,
     predictor: WeightsOption = None,
-    device: Annotated[str, typer.Option(help="Where the predictor runs again.")] = "cpu",
+    device: Annotated[str, typer.Option(help="Device for the predictor: cpu, cuda, ...")] = "cpu",
     form: FormatOption = Format.TABLE,
     output: OutputOption = None,
     force: ForceOption = False,
 ) -> None:
-    """Prove that logs are true: scans, maps, moves, decisions, metrics and outcome."""
+    """Check integrity and reproducibility of logs, bit for bit.
+
+    Recomputes scans, maps, moves, decisions, metrics and outcome from each log alone.
+    """
     check_outputs(output, force=force)
     if rerun and rerun_from is not None:
         raise UsageError("verify: choose one of --rerun and --rerun-from")

@@ -102,8 +102,8 @@ def _end(opened: list[EpisodeLog], unreadable: int) -> None:
 
 
 def _open(paths: list[Path]) -> tuple[list[EpisodeLog], int]:
-    """All logs that the paths stand for, in the order of the paths, and how many of them cannot
-    be read; those are named on stderr.
+    """The logs at the paths, in their order, and the number of unreadable ones, which are
+    reported on stderr.
     """
     from mapreplay.recorders.log.find import find_each
 

@@ -1,4 +1,4 @@
-"""`mapreplay whatif`: what other thresholds would have made of the logged predictions."""
+"""`mapreplay whatif`: the effect of other thresholds on the logged predictions."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     from mapreplay.recorders.log.reader import EpisodeLog
 
 COUNT: Final = 20
-"""Thresholds between two ends, unless it is said."""
+"""Default number of thresholds in a range."""
 MAX_COUNT: Final = 200
 COLUMNS: Final = 8
-"""Of the heat map in a terminal."""
+"""Columns of the heat map in a terminal."""
 FINE: Final = 99
-"""Thresholds that are tried for one that would have left a frontier: .01, .02, ..., .99, 1."""
+"""Number of thresholds tried to find one that keeps the agent free: .01, .02, ..., .99, 1."""
 
 
 def whatif(
@@ -153,8 +153,8 @@ def _story(log: EpisodeLog, step: int) -> list[str | Command | pl.DataFrame]:
 def _heat(
     result: WhatIf, step: int, logged_free: float, logged_occupied: float
 ) -> list[str | Command | pl.DataFrame]:
-    """Scores for some of the pairs, those nearest to the logged thresholds among them, with a
-    mark where the agent would have been sealed in.
+    """Scores for some of the pairs, including those nearest to the logged thresholds, with a mark
+    where the agent would have been sealed in.
     """
     import numpy as np
     import polars as pl
@@ -183,7 +183,7 @@ def _heat(
 
 
 def _some(values: tuple[float, ...], logged: float) -> list[int]:
-    """Indices of at most `COLUMNS` of them, the ends and the nearest to `logged` among them."""
+    """Indices of at most `COLUMNS` values, including both ends and the one nearest to `logged`."""
     count = min(COLUMNS, len(values))
     if count == 1:
         return [0]

@@ -1,4 +1,4 @@
-"""Floor-plan sources: from a specification to floor plans, one at a time."""
+"""Floor-plan sources: from a specification to floor plans, loaded one by one."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _MAX_IDENTIFIED: Final = 100
 
 
 class FloorPlanSource(Protocol):
-    """A collection of floor plans with ids."""
+    """A collection of floor plans with IDs."""
 
     @property
     def default_predictor(self) -> str:
@@ -38,11 +38,11 @@ class FloorPlanSource(Protocol):
         ...
 
     def ids(self) -> Sequence[str]:
-        """All ids, in a fixed order. Raises FloorPlanError if the source cannot be read."""
+        """All IDs, in a fixed order. Raises FloorPlanError if the source cannot be read."""
         ...
 
     def load(self, floor_plan_id: str) -> FloorPlan:
-        """One floor plan. Raises FloorPlanError if it is not there, or is refused."""
+        """Load one floor plan. Raises FloorPlanError if it does not exist, or is refused."""
         ...
 
 
@@ -56,7 +56,7 @@ ENDINGS: Final[Mapping[str, str]] = {
     ".png": "image",
     ".pgm": "image",
 }
-"""The source that reads a file, by the end of its name."""
+"""The source that reads a file, by the ending of its name."""
 
 
 def _holds_maps(folder: Path) -> bool:
@@ -82,11 +82,11 @@ WITH_OPTIONS: Final = ("map_server", "image")
 
 
 FOLDERS: Final[Mapping[str, Callable[[Path], bool]]] = {
-    "map_server": _holds_maps,  # first, because maps have images beside them
+    "map_server": _holds_maps,  # first, because maps have images next to them
     "houseexpo": _holds_houses,
     "image": _holds_images,
 }
-"""The source that reads a folder: the first one whose question is answered with yes."""
+"""The source that reads a folder: the first one whose check is true."""
 
 
 def _source_of(folder: Path) -> str | None:
@@ -105,19 +105,19 @@ def _source_of(folder: Path) -> str | None:
 
 
 def open_source(spec: str, resolution: float | None = None) -> FloorPlanSource:
-    """The source that `spec` means.
+    """Open the source that `spec` refers to.
 
     Args:
         spec: ``name:rest`` or ``name`` of a registered source, like ``procedural:7``; else the
-            path of a file or folder. A file called like a source is reached by ``./name``.
-            Of images and maps with options, like ``plan.png:free=0.3,occupied=0.6,negate=1``.
-        resolution: metres a cell, or None for the source's own.
+            path of a file or folder; ``./name`` for a file with the name of a source. Images
+            and maps take options, like ``plan.png:free=0.3,occupied=0.6,negate=1``.
+        resolution: Metres per cell, or None for the default of the source.
 
     Raises:
         FloorPlanError: there is no such file or folder.
-        UsageError: `spec` is neither a source nor something that one of ours can read, or the
-            resolution does not fit.
-        PluginError: a source of somebody else's is broken.
+        UsageError: `spec` is neither a source nor readable by one of ours, or the resolution is
+            invalid.
+        PluginError: a source of another package is broken.
     """
     name, _, rest = spec.partition(":")
     if name in plugins.available(plugins.PluginKind.FLOORPLANS):
@@ -141,12 +141,12 @@ def open_source(spec: str, resolution: float | None = None) -> FloorPlanSource:
         line = f"{spec}: not a floor plan" + (f": {what}" if what else "")
         raise UsageError(f"{line}; {_understood()}")
     if found not in WITH_OPTIONS and options:
-        raise UsageError(f"{spec}: only images and map_server maps have greys to be chosen")
+        raise UsageError(f"{spec}: only images and map_server maps have grey thresholds")
     return _open(found, spec, resolution)
 
 
 def _contents(folder: Path) -> str:
-    """What else a folder holds, and where near it there are floor plans."""
+    """What a folder contains instead, and where near it there are floor plans."""
     near = next((inner for inner in folders_in(folder) if _source_of(inner)), None)
     if near is not None:
         return f"but {near} is one"
@@ -170,13 +170,13 @@ def _open(name: str, rest: str, resolution: float | None) -> FloorPlanSource:
 def _understood() -> str:
     names = ", ".join(plugins.available(plugins.PluginKind.FLOORPLANS))
     return (
-        f"understood are the sources {names} (as in procedural:60000-60099), "
+        f"supported are the sources {names} (as in procedural:60000-60099), "
         f"files ending in {', '.join(ENDINGS)}, and folders of these"
     )
 
 
 def read_ids(path: Path) -> list[str]:
-    """Read an id list: one a line; blank lines and what follows a ``#`` are skipped.
+    """Read a list of IDs, one per line; blank lines and comments after ``#`` are skipped.
 
     Raises:
         FloorPlanError: the file cannot be read, is not such a list, or is empty.
@@ -188,7 +188,7 @@ def read_ids(path: Path) -> list[str]:
     try:
         lines = content.decode("utf-8-sig").splitlines()
     except UnicodeDecodeError:
-        raise FloorPlanError(f"{path}: not a list of ids (not a text file)") from None
+        raise FloorPlanError(f"{path}: not a list of IDs (not a text file)") from None
     if len(lines) > MAX_IDS:
         raise FloorPlanError(f"{path}: {len(lines)} lines; at most {MAX_IDS} are allowed")
     ids = []
@@ -201,7 +201,7 @@ def read_ids(path: Path) -> list[str]:
         if entry:
             ids.append(entry)
     if not ids:
-        raise FloorPlanError(f"{path}: holds no id; expected one a line")
+        raise FloorPlanError(f"{path}: contains no ID; expected one per line")
     return ids
 
 
@@ -210,9 +210,9 @@ class Selection:
     """Some of a source's floor plans."""
 
     ids: tuple[str, ...]
-    """In the order in which they were asked for, without repetitions."""
+    """In the requested order, without repetitions."""
     missing: tuple[str, ...]
-    """What was asked for and the source does not have."""
+    """Requested IDs that the source does not have."""
 
 
 def select(
@@ -238,20 +238,20 @@ def select(
 
 
 def by_sha256(ids: Iterable[str]) -> list[str]:
-    """Sorted by the SHA-256 of the id: the first ones are those that are held out."""
+    """Sorted by the SHA-256 of the ID; the first ones are held out."""
     return sorted(ids, key=lambda floor_plan_id: hashlib.sha256(floor_plan_id.encode()).hexdigest())
 
 
 def load_each(
     source: FloorPlanSource, ids: Sequence[str]
 ) -> Iterator[tuple[str, FloorPlan | FloorPlanError]]:
-    """The floor plans of `ids` in their order, each by its id, or why it was refused.
+    """The floor plans of `ids` in their order, each with its ID, or the error for it.
 
-    Those in which there is nothing to explore are refused, whatever source they are of. What is
-    doubtful about the others `mapreplay.floorplans.plausibility.examine` says.
+    Floor plans with nothing to explore are refused, whatever their source; for doubts about the
+    others see `mapreplay.floorplans.plausibility.examine`.
 
-    They are loaded before the first comes, in the order in which the source has them: to go
-    back and forth in an archive is to read it from its start again and again.
+    All are loaded before the first is yielded, in the order of the source, because seeking in an
+    archive means reading it again from its start.
     """
     wanted = frozenset(ids)
     loaded: dict[str, FloorPlan | FloorPlanError] = {}

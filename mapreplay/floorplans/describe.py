@@ -10,13 +10,13 @@ from mapreplay.grid import FREE, UNKNOWN, Cell
 
 @dataclass(frozen=True)
 class PlanSummary:
-    """What `mapreplay floorplans` tells of a floor plan; sizes in cells unless said otherwise."""
+    """What `mapreplay floorplans` reports of a floor plan; sizes in cells unless noted."""
 
     id: str
     height: int
     width: int
     resolution: float
-    """Metres a cell."""
+    """Metres per cell."""
     width_m: float
     height_m: float
     wall_share: float
@@ -28,7 +28,7 @@ class PlanSummary:
 
 
 def describe(plan: FloorPlan) -> PlanSummary:
-    """Summarize `plan` as it is explored from its default start."""
+    """Summarize `plan`, explored from its default start."""
     height, width = plan.shape
     return PlanSummary(
         id=plan.id,

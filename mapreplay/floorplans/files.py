@@ -1,4 +1,4 @@
-"""Reading files and folders that a user names: with limits, and with errors of one line."""
+"""Reading files and folders given by the user, with size limits and one-line errors."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def existing_path(source: str, rest: str) -> Path:
 
 
 def missing(path: Path) -> str:
-    """The line that says that `path` does not exist, and what is like it in its folder."""
+    """The message that `path` does not exist, with similar names in its folder."""
     if is_link(path):
         return f"{path}: a broken link, to {path.readlink()}"
     line = f"{path}: no such file or folder"
@@ -47,7 +47,7 @@ def missing(path: Path) -> str:
 
 
 def exists(path: Path) -> bool:
-    """Whether there is such a file or folder; a name that cannot be one is not there."""
+    """Whether the file or folder exists; False for impossible names."""
     try:
         return path.exists()
     except (OSError, ValueError):
@@ -65,9 +65,9 @@ def is_link(path: Path) -> bool:
 def files_in(folder: Path, endings: Collection[str] = (), *, below: bool = False) -> list[Path]:
     """The entries of `folder` (and `below` it) with one of `endings` in any case, sorted.
 
-    No `endings` are all of them. Of folders there is none.
+    Without `endings` all files are listed. Folders are not listed.
 
-    Junk that other programs leave is passed over, see `is_junk`.
+    Junk of other programs is skipped, see `is_junk`.
 
     Raises:
         FloorPlanError: the folder cannot be read.
@@ -86,7 +86,7 @@ def files_in(folder: Path, endings: Collection[str] = (), *, below: bool = False
 
 
 def folders_in(folder: Path) -> list[Path]:
-    """The folders in `folder`, sorted; of very many the first ones, and no hidden ones."""
+    """The folders in `folder`, sorted, without hidden ones; only the first of very many."""
     with suppress(OSError):
         inner = sorted(path for path in folder.iterdir() if path.is_dir())
         return [path for path in inner if not is_junk(path.relative_to(folder))][:_MAX_INNER]
@@ -94,10 +94,10 @@ def folders_in(folder: Path) -> list[Path]:
 
 
 def is_junk(inner: PurePath) -> bool:
-    """Whether a path inside a folder or archive is hidden, or what a Mac leaves in both.
+    """Whether a path inside a folder or archive is hidden, or junk of macOS.
 
     A Mac writes ``._x.png`` next to ``x.png`` on many disks and into every archive, and a folder
-    ``__MACOSX`` into zips; its ``._`` files end and sort like what they lie next to.
+    ``__MACOSX`` into zips; its ``._`` files have the ending of the file next to them.
     """
     return any(part.startswith(".") or part == "__MACOSX" for part in inner.parts if part != ".")
 
@@ -134,9 +134,9 @@ def _human_size(size: int) -> str:
 
 
 def brief(value: object) -> str:
-    """`value` as an error shows it, in at most 60 characters.
+    """`value` for an error message, in at most 60 characters.
 
-    A small file with references can hold a value that prints as gigabytes, or a number that
+    A small file with references can contain a value that prints as gigabytes, or a number that
     Python refuses to print.
     """
     try:
@@ -147,9 +147,9 @@ def brief(value: object) -> str:
 
 
 def unique_ids(names: Iterable[str]) -> list[str]:
-    """A legal id of a floor plan for each name, in order; no two are equal.
+    """A valid, unique floor-plan ID for each name, in order.
 
-    What an id may not hold becomes ``-``; the second of two equal ids gets ``-2``, and so on.
+    Invalid characters become ``-``; the second of two equal IDs gets ``-2``, and so on.
     """
     ids: dict[str, None] = {}
     for name in names:

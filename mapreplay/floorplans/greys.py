@@ -1,4 +1,4 @@
-"""How the greys of an image become cells, as Nav2's ``map_server`` reads them.
+"""How grey levels of an image become cells, like in Nav2's ``map_server``.
 
 The modes are those of ``nav2_map_server`` (``map_io.cpp``) as of 2026, reduced to the three values
 that our cells have: a percentage between 0 and 100 is unknown in every mode. Images without a YAML
@@ -27,7 +27,7 @@ _KEYS: Final = ("free", "occupied", "negate")
 
 @dataclass(frozen=True)
 class GreyThresholds:
-    """P(occupied) at which a pixel is occupied, and up to which it is free; unknown between.
+    """P(occupied) up to which a pixel is free, and from which it is occupied.
 
     Raises:
         ValueError: not 0 <= free <= occupied <= 1.
@@ -40,22 +40,24 @@ class GreyThresholds:
         if not 0 <= self.free <= self.occupied <= 1:
             raise ValueError(
                 f"free_thresh {self.free:g} and occupied_thresh {self.occupied:g}: expected "
-                "0 <= free_thresh <= occupied_thresh <= 1, shares and no percentages"
+                "0 <= free_thresh <= occupied_thresh <= 1, as fractions, not percentages"
             )
 
 
 @dataclass(frozen=True)
 class GreyRule:
-    """How a grey becomes a cell."""
+    """How a grey level becomes a cell."""
 
     mode: str = "trinary"
     """One of `MODES`."""
     thresholds: GreyThresholds = field(default_factory=GreyThresholds)
     negate: bool = False
-    """White is occupied; of no effect in mode raw."""
+    """White is occupied; no effect in mode raw."""
 
     def p_occupied(self) -> npt.NDArray[np.float32]:
-        """float32[256]: of each grey. Rounded where Nav2 rounds, which decides at thresholds."""
+        """float32[256]: P(occupied) of each grey level, rounded like Nav2 does, which matters at
+        thresholds.
+        """
         greys = np.arange(256, dtype=np.float32)
         if self.mode == "raw":
             return greys / np.float32(100)
@@ -63,7 +65,7 @@ class GreyRule:
         return light if self.negate else np.float32(1) - light
 
     def table(self) -> npt.NDArray[np.int8]:
-        """int8[256]: the cell that each grey becomes."""
+        """int8[256]: the cell of each grey level."""
         p = self.p_occupied()
         occupied, free = np.float32(self.thresholds.occupied), np.float32(self.thresholds.free)
         cells = np.full(256, UNKNOWN, np.int8)
@@ -81,7 +83,7 @@ class GreyRule:
 
 @dataclass(frozen=True)
 class GreyOptions:
-    """What a specification like ``plan.png:free=0.3,occupied=0.6`` changes in a `GreyRule`."""
+    """Options of a specification like ``plan.png:free=0.3,occupied=0.6``, see `GreyRule`."""
 
     free: float | None = None
     occupied: float | None = None
@@ -92,7 +94,7 @@ class GreyOptions:
         return self != NO_OPTIONS
 
     def applied_to(self, rule: GreyRule) -> GreyRule:
-        """`rule` with the values that are given.
+        """`rule` with the given values.
 
         Raises:
             ValueError: see `GreyThresholds`.
@@ -111,11 +113,11 @@ NO_OPTIONS: Final = GreyOptions()
 def split_options(spec: str) -> tuple[str, GreyOptions]:
     """The path and the options of ``PATH:free=0.3,occupied=0.6,negate=1``; all are optional.
 
-    A file or folder that is called like the whole of it has no options; nor has what is neither a
-    path nor known options behind one.
+    If a file or folder has the whole text as its name, there are no options; nor if the text is
+    not a path followed by known options.
 
     Raises:
-        UsageError: an option has no such value, or there is no such option.
+        UsageError: an option or its value is invalid.
     """
     match = _OPTIONS.fullmatch(spec)
     if match is None or exists(Path(spec)):

@@ -1,8 +1,8 @@
 """HouseExpo floor plans: the paper's second dataset, D2.
 
-One JSON file a house, with one polygon whose inside is free; interior walls are notches of
+One JSON file per house, with one polygon whose inside is free; interior walls are notches of
 about 0.1 m. The polygon is rasterized at 80 px/m or finer, and a cell is free only if all
-of it is free: coarser rasterizing erases most interior walls.
+of it is free, because coarser rasterizing erases most interior walls.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _SUBPIXEL_BITS: Final = 6
 
 @dataclass(frozen=True, eq=False)
 class House:
-    """What is used of a HouseExpo JSON file."""
+    """The fields of a HouseExpo JSON file that are used."""
 
     id: str
     vertices: npt.NDArray[np.float64]
@@ -53,7 +53,7 @@ class House:
 
 
 def parse_house(text: bytes, name: str) -> House:
-    """Read one house; `name` is what errors call it.
+    """Read one house; `name` is used in error messages.
 
     Raises:
         FloorPlanError: not JSON, keys missing, or coordinates that are not a house.
@@ -100,8 +100,8 @@ def _is_metre(value: object) -> bool:
 def rasterize(house: House, resolution: float) -> FloorPlan:
     """Cells of `resolution` metres; free only where the whole cell lies inside the polygon.
 
-    What is outside of the polygon is occupied. Of a polygon that crosses itself, the inside
-    is what a line from there to infinity leaves by an odd number of crossings.
+    The outside of the polygon is occupied. The inside of a polygon that crosses itself is
+    defined by the even-odd rule.
 
     Raises:
         FloorPlanError: the house has no free cell, or too many cells.
@@ -138,7 +138,7 @@ class HouseExpoSource:
     default_predictor = "d2"
 
     def __init__(self, path: Path, resolution: float = 0.2) -> None:
-        """`resolution` is in metres a cell.
+        """`resolution` is in metres per cell.
 
         Raises:
             UsageError: `resolution` is out of range.
@@ -146,7 +146,7 @@ class HouseExpoSource:
         if not MIN_RESOLUTION <= resolution <= MAX_RESOLUTION:
             raise UsageError(
                 f"houseexpo: resolution {resolution} must be {MIN_RESOLUTION:g} to "
-                f"{MAX_RESOLUTION:g} metres a cell"
+                f"{MAX_RESOLUTION:g} metres per cell"
             )
         self._path = path
         self._resolution = resolution
@@ -214,7 +214,7 @@ class HouseExpoSource:
         return found
 
     def _in_folder(self) -> dict[str, Path]:
-        """The houses of a folder by id; of two that differ in case of the ending the first."""
+        """The houses of a folder by ID; the first of two that differ in the case of the ending."""
         if self._files is None:
             self._files = {path.stem: path for path in reversed(find_houses(self._path))}
         return self._files
@@ -230,10 +230,10 @@ class HouseExpoSource:
 
 
 class _CheckedHeader(tarfile.TarInfo):
-    """A header that is refused while it is read.
+    """A tar header that is checked while it is read.
 
-    `tarfile` takes the long names and extended headers of an archive into memory on its own,
-    however large they say they are.
+    `tarfile` loads long names and extended headers of an archive into memory, whatever their
+    declared size.
     """
 
     @classmethod
@@ -255,7 +255,7 @@ class _CheckedHeader(tarfile.TarInfo):
 def _archive_members(path: Path, *, with_text: bool) -> Iterator[tuple[str, bytes]]:
     """The JSON files of a tar archive, streamed: nothing is ever written to disk.
 
-    Of two with one name the first counts.
+    If two have the same name, the first counts.
     """
     seen: set[str] = set()
     try:
@@ -282,7 +282,7 @@ def _archive_members(path: Path, *, with_text: bool) -> Iterator[tuple[str, byte
 
 
 def _no_archive(path: Path) -> str | None:
-    """What `path` is, if it starts like something else than an archive that can be read."""
+    """What `path` is, if it does not start like a readable archive."""
     what = identify_file(path)
     readable = what is None or "-compressed" in what or "tar archive" in what
     return None if readable else what

@@ -1,6 +1,6 @@
-"""Plain PNG and PGM images: dark is occupied, light is free, mid grey and clear are unknown.
+"""Plain PNG and PGM images: dark is occupied, light is free, mid grey and transparent are unknown.
 
-What is dark and light can be chosen: ``plan.png:free=0.3,occupied=0.6,negate=1``.
+The thresholds can be chosen: ``plan.png:free=0.3,occupied=0.6,negate=1``.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from mapreplay.floorplans.reading import Where, plan_of
 
 ENDINGS: Final = (".png", ".pgm")
 DEFAULT_RESOLUTION: Final = 0.05
-"""Metres a pixel, the usual one of maps that robots save."""
+"""Metres per pixel, as usual in maps saved by robots."""
 
 
 class ImageSource:
-    """One image, or all in a folder; by default with map_server's usual thresholds."""
+    """One image, or all images in a folder; by default with map_server's thresholds."""
 
     default_predictor = "d2"
 
@@ -33,14 +33,16 @@ class ImageSource:
         resolution: float = DEFAULT_RESOLUTION,
         options: GreyOptions = NO_OPTIONS,
     ) -> None:
-        """`resolution` is in metres a pixel; `options` says what is dark and what is light.
+        """`resolution` is in metres per pixel; `options` are thresholds for dark and light.
 
         Raises:
             UsageError: `resolution` is not a positive number, or the thresholds contradict
                 each other.
         """
         if not (math.isfinite(resolution) and resolution > 0):
-            raise UsageError(f"resolution {resolution} must be a positive number of metres a cell")
+            raise UsageError(
+                f"resolution {resolution} must be a positive number of metres per cell"
+            )
         try:
             self._rule = options.applied_to(GreyRule())
         except ValueError as error:
@@ -92,8 +94,8 @@ def open_source(rest: str, resolution: float | None) -> ImageSource:
     """The source ``image``; see `mapreplay.plugins.PluginKind.FLOORPLANS`.
 
     Raises:
-        UsageError: no path, a resolution that is not a positive number, or options that are
-            none.
+        UsageError: no path, a resolution that is not a positive number, or invalid
+            options.
         FloorPlanError: there is no such file or folder.
     """
     name, options = split_options(rest)

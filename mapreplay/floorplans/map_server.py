@@ -58,12 +58,12 @@ _IMAGE_KEY: Final = re.compile(rb"^image\s*:", re.MULTILINE)
 
 @dataclass(frozen=True)
 class MapFile:
-    """What a map_server YAML file says."""
+    """The content of a map_server YAML file."""
 
     image: str
-    """As it is written there."""
+    """As written in the file."""
     resolution: float
-    """Metres a cell."""
+    """Metres per cell."""
     origin: Origin
     rule: GreyRule
 
@@ -72,7 +72,7 @@ def read_map_file(path: Path) -> MapFile:
     """Read and check a map_server YAML file.
 
     Raises:
-        FloorPlanError: it cannot be read, or a key is missing or makes no sense.
+        FloorPlanError: it cannot be read, or a key is missing or invalid.
     """
     content = read_limited(path, MAX_YAML_BYTES)
     data = _parse_yaml(content, path)
@@ -89,7 +89,7 @@ def read_map_file(path: Path) -> MapFile:
         raise _bad(path, "image", image, "the path of a PNG or PGM file")
     resolution = _number(path, data, "resolution")
     if resolution <= 0:
-        raise _bad(path, "resolution", resolution, "a positive number of metres a cell")
+        raise _bad(path, "resolution", resolution, "a positive number of metres per cell")
     mode = data.get("mode", "trinary")
     if not isinstance(mode, str) or mode.lower() not in MODES:
         raise _bad(path, "mode", mode, f"one of {', '.join(MODES)}")
@@ -122,11 +122,11 @@ def _parse_yaml(content: bytes, path: Path) -> Any:
 
 
 def _events(text: str) -> Iterator[Event]:
-    """The parts of a YAML text, as they come; no value is made.
+    """The events of a YAML text; no value is constructed.
 
     Raises:
-        ValueError: it makes a small file a large value: it refers to its own parts, or is nested
-            too deeply or too long.
+        ValueError: its value could be huge: it has aliases, or is nested too deeply or too
+            long.
         YAMLError: it is not YAML.
     """
     depth = 0
@@ -167,7 +167,7 @@ def _origin(path: Path, value: Any) -> Origin:
     x, y, yaw = map(float, value)
     if yaw != 0:
         raise FloorPlanError(
-            f"{path}: origin has a yaw of {yaw:g} rad; turned maps are not supported, rotate "
+            f"{path}: origin has a yaw of {yaw:g} rad; rotated maps are not supported; rotate "
             "the image and set it to 0"
         )
     return Origin(x, y)
@@ -179,7 +179,7 @@ class MapServerSource:
     default_predictor = "d2"
 
     def __init__(self, path: Path, options: GreyOptions = NO_OPTIONS) -> None:
-        """`options` are used instead of what the YAML files say."""
+        """`options` override the YAML files."""
         self._path = path
         self._options = options
         self._files: dict[str, Path] | None = None
@@ -234,13 +234,13 @@ class MapServerSource:
 
 
 def find_image(path: Path, image: str) -> tuple[Path, tuple[Doubt, ...]]:
-    """The file that the YAML file `path` means by `image`, and what is odd about that.
+    """The image file of the YAML file `path`, and doubts about it.
 
-    Where there is none, one of that name next to the YAML file is taken: files are copied
-    together to other machines, and to and from those that do not tell cases apart.
+    If it does not exist, a file of the same name next to the YAML file is used, because maps are
+    copied between machines, some of which ignore the case of names.
 
     Raises:
-        FloorPlanError: there is none, nor one of that name next to the YAML file.
+        FloorPlanError: neither of them exists.
     """
     meant = path.parent / image
     if exists(meant) or is_link(meant):
@@ -275,8 +275,8 @@ def _name(path: Path) -> str:
 def find_maps(folder: Path) -> list[Path]:
     """The YAML files in `folder` and below that have a key ``image``, sorted; no hidden ones.
 
-    A file with that key that is not YAML is listed too, so that loading it says what is
-    wrong; one that is not about a map is passed over.
+    Invalid YAML files with that key are listed too, so that loading them reports the error;
+    other YAML files are skipped.
 
     Raises:
         FloorPlanError: the folder cannot be read.
@@ -323,12 +323,12 @@ def open_source(rest: str, resolution: float | None) -> MapServerSource:
     """The source ``map_server``; see `mapreplay.plugins.PluginKind.FLOORPLANS`.
 
     Raises:
-        UsageError: no path, a resolution was asked for, or options that are none.
+        UsageError: no path, a resolution was given, or invalid options.
         FloorPlanError: there is no such file or folder.
     """
     name, options = split_options(rest)
     if resolution is not None:
         raise UsageError(
-            f"a map_server map has the resolution that its YAML file says, not {resolution}"
+            f"the resolution of a map_server map is set by its YAML file, not {resolution}"
         )
     return MapServerSource(existing_path("map_server", name), options)

@@ -1,4 +1,4 @@
-"""PNG and PGM files as arrays: refused by their header before anything large is decoded.
+"""PNG and PGM files as arrays; large ones are refused by their header, before decoding.
 
 Whatever the file holds (colours, a palette, 1 to 16 bits, any maxval of a PGM) comes out as 8-bit
 greys, rounded as ImageMagick does it for Nav2's ``map_server``.
@@ -27,7 +27,7 @@ MAX_IMAGE_BYTES: Final = 192 << 20
 """A PNG of 4096 x 4096 pixels with four incompressible channels of 16 bits is 128 MiB."""
 
 OPAQUE: Final = 255
-"""Alpha of a pixel that nothing shines through."""
+"""Alpha of an opaque pixel."""
 
 _PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 _PNG_HEADER: Final = struct.Struct(">4sIIBB")  # name of the chunk, width, height, depth, colours
@@ -35,7 +35,7 @@ _GREY: Final = 0
 """PNG's colour type of a single grey channel."""
 _PGM_HEADER: Final = re.compile(rb"P[25]" + rb"(?:\s|#[^\n]*\n)+(\d{1,9})" * 3 + rb"\s")
 _LUMA_BGR: Final = (0.072186, 0.715158, 0.212656)
-"""How bright a colour is (Rec. 709), in OpenCV's order."""
+"""Luminance weights (Rec. 709), in OpenCV's order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ def read_pixels(path: Path) -> Pixels:
     """Read a PNG or PGM (binary or ASCII) of at most 4096 pixels along a side.
 
     Raises:
-        FloorPlanError: there is no such file, or it is too large, damaged or something else.
+        FloorPlanError: there is no such file, or it is too large, damaged or of another type.
     """
     content = read_limited(path, MAX_IMAGE_BYTES)
     if content.startswith(_PNG_SIGNATURE):
@@ -127,7 +127,7 @@ def _decode_png(
 def _clear_grey(
     content: bytes, grey: npt.NDArray[np.uint16], depth: int, colours: int
 ) -> npt.NDArray[np.uint16] | None:
-    """The alpha of a grey PNG that calls one grey transparent (tRNS), which OpenCV passes over."""
+    """The alpha of a grey PNG with one transparent grey (tRNS), which OpenCV ignores."""
     sample = dict(_png_chunks(content)).get(b"tRNS", b"")
     if colours != _GREY or len(sample) != 2:
         return None
@@ -139,9 +139,9 @@ def _clear_grey(
 
 
 def _png_is_whole(content: bytes) -> bool:
-    """Whether all chunks up to the last one are there, with right checksums.
+    """Whether all chunks are present, with valid checksums.
 
-    OpenCV returns what it has of some damaged images, and prints about others.
+    OpenCV returns parts of some damaged images, and prints warnings about others.
     """
     return any(name == b"IEND" for name, _ in _png_chunks(content))
 

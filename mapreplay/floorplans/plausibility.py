@@ -1,8 +1,8 @@
-"""Can this floor plan be what was meant? Asked of every source's plans, after they are read.
+"""Plausibility of floor plans of all sources, checked after reading.
 
-A file that can be parsed may still be read wrongly: a map of greys between the thresholds has no
-wall, and is mapped perfectly in a few steps. What cannot be explored is refused; of what is odd a
-warning says the numbers and the cure.
+A file that can be parsed may still be read wrongly: a map with grey levels between the thresholds
+has no wall, and is mapped perfectly in a few steps. Plans that cannot be explored are refused;
+doubtful plans give a warning with numbers and a remedy.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from mapreplay.floorplan import Doubt, FloorPlan
 from mapreplay.grid import FREE, OCCUPIED, Cell, Mask
 
 FEW_CELLS: Final = 20
-"""Under so many free cells there is hardly anything to explore."""
+"""Minimum number of free cells for a meaningful exploration."""
 ALMOST_ALL_UNKNOWN: Final = 0.97
 ALMOST_ALL_WALL: Final = 0.98
 OUTSIDE_BORDER: Final = 0.05
-"""Share of the map's border that the free region touches when it is probably the outside."""
+"""Share of the map's border in the free region from which it is probably the outside."""
 ENCLOSED: Final = 0.1
-"""Share of the free cells that the free region encloses when these are probably the building."""
+"""Share of free cells enclosed by the free region from which they are the building."""
 SMALLEST_CELL: Final = 0.01
 LARGEST_CELL: Final = 1.0
 LARGEST_SIDE: Final = 5000.0
@@ -34,7 +34,7 @@ THIN: Final = 4
 """Cells from the nearest wall: all that is free is so near where white is wall, as in a drawing;
 or farther in a large image, if hardly anything is free and what is wall is much thicker."""
 LINES: Final = 5
-"""Shown one by one; of more doubtful plans a summary is."""
+"""Maximum number of doubtful plans that are listed one by one; more are summarized."""
 
 _EIGHT: Final = np.ones((3, 3), np.int8)
 
@@ -43,7 +43,7 @@ def check_explorable(plan: FloorPlan, start: Cell | None = None) -> Mask:
     """bool[H, W]: the free cells that can be reached from `start` (default: the plan's own).
 
     Raises:
-        FloorPlanError: that is one cell at most, or `start` is not free.
+        FloorPlanError: there is at most one such cell, or `start` is not free.
     """
     start = plan.check_start(start)
     labels, _ = ndimage.label(plan.cells == FREE, structure=_EIGHT)
@@ -56,7 +56,7 @@ def check_explorable(plan: FloorPlan, start: Cell | None = None) -> Mask:
 
 
 def examine(plan: FloorPlan, start: Cell | None = None) -> tuple[Doubt, ...]:
-    """Why `plan`, explored from `start` (default: its own), may not be what was meant.
+    """Reasons why `plan`, explored from `start` (default: its own), may be read wrongly.
 
     Raises:
         FloorPlanError: see `check_explorable`.
@@ -130,12 +130,12 @@ def _of_the_size(plan: FloorPlan) -> Iterator[Doubt]:
         yield Doubt(
             "cell size",
             f"a cell has {plan.resolution:g} m, and the map {height:g} x {width:g} m; check the "
-            "resolution (in metres a cell)",
+            "resolution (in metres per cell)",
         )
 
 
 def _is_inverted(plan: FloorPlan, walls: int, free: int) -> bool:
-    """Whether all that is free is thin, and what is wall is thick and much more."""
+    """Whether the free space is thin lines and the walls are thick and much more."""
     if walls < 3 * free:
         return False
 
@@ -149,11 +149,11 @@ def _is_inverted(plan: FloorPlan, walls: int, free: int) -> bool:
 
 
 def warning_lines(names: Sequence[str], doubts: Sequence[Sequence[Doubt]]) -> list[str]:
-    """One line for each doubtful floor plan, or one for all of them where they are many.
+    """One warning per doubtful floor plan, or one summary if there are many.
 
     Args:
-        names: What a message calls each floor plan, see `FloorPlan.where`.
-        doubts: Of each, in the same order; there may be none.
+        names: Name of each floor plan in messages, see `FloorPlan.where`.
+        doubts: Doubts about each, in the same order; possibly empty.
     """
     doubtful = [(name, found) for name, found in zip(names, doubts, strict=True) if found]
     if len(doubtful) <= LINES:
@@ -166,5 +166,5 @@ def warning_lines(names: Sequence[str], doubts: Sequence[Sequence[Doubt]]) -> li
         f"{kind} ({len(of)}, such as {of[0]})"
         for kind, of in sorted(kinds.items(), key=lambda item: -len(item[1]))
     )
-    odd = f"{len(doubtful)} of {len(names)} floor plans may not be what is meant: {counted}"
-    return [f"warning: {odd}; `mapreplay floorplans SPEC --format json` says more of each"]
+    odd = f"{len(doubtful)} of {len(names)} floor plans may be read wrongly: {counted}"
+    return [f"warning: {odd}; `mapreplay floorplans SPEC --format json` has details on each"]

@@ -31,7 +31,7 @@ _ID = re.compile(r"procedural-(0|[1-9][0-9]{0,9})")
 
 @dataclass(frozen=True)
 class Style:
-    """What all plans of a kind have in common; lengths in cells.
+    """Common properties of all plans of a kind; lengths in cells.
 
     Raises:
         ValueError: rooms are so small that a wall could end in another wall's door.
@@ -40,12 +40,12 @@ class Style:
     height: int = 64
     width: int = 64
     min_room: int = 10
-    """A room is not divided if one part would be narrower than this."""
+    """Minimum width of the parts when a room is divided."""
     door: int = 4
     corner: int = 1
     """Wall cells between a door and the end of its wall."""
     shift: int = 5
-    """How far a dividing wall may lie from the middle."""
+    """Maximum distance of a dividing wall from the middle."""
     resolution: float = 0.2
 
     def __post_init__(self) -> None:
@@ -108,7 +108,7 @@ def generate(seed: int, style: Style = D1) -> FloorPlan:
 def _wall_row(room: _Room, style: Style, draws: Draws) -> int:
     """A row for a wall through `room`, near its middle.
 
-    It ends at no door, because doors lie nearer to a corner than any room is narrow.
+    It never ends at a door, because doors are closer to a corner than the minimum room width.
     """
     middle = (room.top + room.bottom) // 2
     rows = [
@@ -128,7 +128,7 @@ class ProceduralSource:
         """Parse `spec`, a seed or an inclusive range of seeds; empty means 60000-60099.
 
         Raises:
-            UsageError: `spec` is neither, or means too many.
+            UsageError: `spec` is neither, or has too many seeds.
         """
         match = _SEEDS.fullmatch(spec or "60000-60099")
         if match is None:
@@ -166,8 +166,8 @@ def open_source(rest: str, resolution: float | None) -> ProceduralSource:
     """The source ``procedural``; see `mapreplay.plugins.PluginKind.FLOORPLANS`.
 
     Raises:
-        UsageError: not a range of seeds, or another resolution was asked for.
+        UsageError: not a range of seeds, or another resolution was given.
     """
     if resolution not in (None, D1.resolution):
-        raise UsageError(f"procedural plans have {D1.resolution} m a cell, not {resolution}")
+        raise UsageError(f"procedural plans have {D1.resolution} m per cell, not {resolution}")
     return ProceduralSource(rest)

@@ -1,4 +1,4 @@
-"""From an image to a floor plan, with what is doubtful about its greys."""
+"""From an image to a floor plan, with doubts about its grey levels."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ NOT_UNDERSTOOD: Final = ("transparent", "mode raw", "greys between the threshold
 """Kinds of doubts about pixels that are neither free nor occupied."""
 CORNER: Final = Origin(0.0, 0.0)
 SAVED_UNKNOWN: Final = 205
-"""The grey that every map saver writes for unknown."""
+"""The grey level that map savers write for unknown."""
 _MIDDLE: Final = range(127, 130)
-"""Greys that some programs write for unknown."""
+"""Grey levels that some programs write for unknown."""
 _PEAK: Final = 0.01
-"""Share of the pixels that a grey has at least to be one of those that an image consists of."""
+"""Minimum share of the pixels for a grey level to be one of the main levels of an image."""
 _EVEN: Final = 0.6
 """Smaller gap between three levels, to the larger one, from which on the middle one is unknown."""
 _FEW: Final = 0.001
 _APART: Final = 9
-"""Of greys that are closer to each other than about half of it, the commonest counts."""
+"""Among grey levels that are closer than about half of this, the most common counts."""
 
 
 def to_cells(pixels: Pixels, rule: GreyRule) -> Grid:
-    """int8[H, W] of -1, 0 and 100. What is not opaque is unknown, but in mode raw."""
+    """int8[H, W] of -1, 0 and 100. Pixels that are not opaque are unknown, except in mode raw."""
     cells: Grid = rule.table()[pixels.grey]
     if pixels.alpha is not None and rule.mode != "raw":
         cells[pixels.alpha != OPAQUE] = UNKNOWN
@@ -44,12 +44,12 @@ def to_cells(pixels: Pixels, rule: GreyRule) -> Grid:
 
 @dataclass(frozen=True)
 class Where:
-    """What a floor plan was read from."""
+    """Where a floor plan was read from."""
 
     file: Path
-    """For messages: the YAML file, or the image that has none."""
+    """For messages: the YAML file, or an image without one."""
     spec: str
-    """What was opened, to be repeated with options."""
+    """The opened path, to which options can be added."""
 
     def repeated(self, options: str) -> str:
         """The specification with other options, to be copied into a shell."""
@@ -66,20 +66,20 @@ def plan_of(
     origin: Origin = CORNER,
     doubts: Sequence[Doubt] = (),
 ) -> FloorPlan:
-    """The floor plan of an image, with what is doubtful about its greys.
+    """The floor plan of an image, with doubts about its grey levels.
 
     Args:
-        floor_plan_id: Its id.
+        floor_plan_id: Its ID.
         pixels: The image.
-        rule: How its greys become cells.
-        resolution: Metres a cell.
-        where: What it was read from.
-        origin: Of its bottom left corner.
-        doubts: What is doubtful beside the greys.
+        rule: How its grey levels become cells.
+        resolution: Metres per cell.
+        where: Where it was read from.
+        origin: Origin of its bottom left corner.
+        doubts: Other doubts.
 
     Raises:
         FloorPlanError: no cell is free, or none is a wall and most pixels were not understood,
-            or the resolution makes no sense; names the file.
+            or the resolution is invalid; names the file.
     """
     cells = to_cells(pixels, rule)
     doubts = (*doubts, *grey_doubts(pixels, rule, where))
@@ -100,7 +100,7 @@ def plan_of(
 
 
 def grey_doubts(pixels: Pixels, rule: GreyRule, where: Where) -> tuple[Doubt, ...]:
-    """Why the greys of an image may mean something else than what `rule` makes of them."""
+    """Reasons why `rule` may not fit the grey levels of an image."""
     opaque = pixels.grey
     if pixels.alpha is not None and rule.mode != "raw":
         opaque = pixels.grey[pixels.alpha == OPAQUE]
@@ -116,7 +116,7 @@ def grey_doubts(pixels: Pixels, rule: GreyRule, where: Where) -> tuple[Doubt, ..
 
 @dataclass(frozen=True, eq=False)
 class _Greys:
-    """How often each grey is there, and the questions about it."""
+    """The histogram of grey levels, and checks of it."""
 
     counts: npt.NDArray[np.int64]
     """int64[256], of opaque pixels."""
@@ -140,14 +140,14 @@ class _Greys:
         )
 
     def over_hundred(self) -> Doubt | None:
-        """An image of greys that is read as one of percentages."""
+        """Grey levels that are read as percentages."""
         over = int(self.counts[101:255].sum())
         if self.rule.mode != "raw" or over <= _PEAK * self.pixels:
             return None
         return Doubt(
             "mode raw",
-            f"{over} of {self.pixels} pixels are over 100, which is no percentage and unknown in "
-            "mode raw; if they are greys, say mode: trinary",
+            f"{over} of {self.pixels} pixels are over 100, which is not a percentage and "
+            "unknown in mode raw; if they are grey levels, set mode: trinary",
         )
 
     def between(self) -> Doubt | None:
@@ -174,7 +174,7 @@ class _Greys:
         )
 
     def one_sided(self) -> Doubt | None:
-        """All that is there is dark, or light."""
+        """Everything is dark, or everything is light."""
         if self.count(FREE) and self.count(OCCUPIED):
             return None
         lacking = "free" if not self.count(FREE) else "occupied"
@@ -188,7 +188,7 @@ class _Greys:
         )
 
     def saved_unknown(self) -> Doubt | None:
-        """What map savers write for unknown is something else here."""
+        """The grey level for unknown of map savers is free or occupied here."""
         cell = int(self.rule.table()[SAVED_UNKNOWN])
         there = int(self.counts[SAVED_UNKNOWN])
         near = self.counts[SAVED_UNKNOWN - 1] + self.counts[SAVED_UNKNOWN + 1]
@@ -217,7 +217,7 @@ class _Greys:
         )
 
     def _limits(self) -> str:
-        """The greys that are free and those that are occupied, in words."""
+        """The free and the occupied grey levels, in words."""
         table = self.rule.table()
         words = []
         for name, cell in (("free", FREE), ("occupied", OCCUPIED)):
@@ -231,7 +231,7 @@ class _Greys:
         return " and ".join(words)
 
     def _cure(self) -> str:
-        """How to choose thresholds, with numbers that part the greys of this image."""
+        """How to choose thresholds, with numbers that separate the grey levels of this image."""
         p = self.rule.p_occupied()
         smooth = ndimage.maximum_filter1d(self.counts, _APART, mode="constant")
         peaks = (self.counts >= _PEAK * self.pixels) & (self.counts == smooth) & (p <= 1)
@@ -249,7 +249,7 @@ class _Greys:
 
 
 def _list(counts: npt.NDArray[np.int64]) -> str:
-    """The three commonest greys in words, such as "the grey 127 or 195"."""
+    """The three most common grey levels in words, such as "the grey 127 or 195"."""
     common = [int(grey) for grey in np.argsort(-counts, kind="stable")[:3] if counts[grey]]
     *most, last = map(str, sorted(common))
     text = f"{', '.join(most)} or {last}" if most else last

@@ -12,30 +12,30 @@ from mapreplay.planning import Float64s, Situation
 from mapreplay.step import EpisodeHeader
 
 RULES: Final = "2"
-"""Which rules our planners decide by; a log has them among its versions, as ``rules``. Raise it
-when a decision changes, and let `planner_of` find the rules of the logs that there are.
+"""Version of our planners' rules, logged as ``rules``. Increase it when a decision changes, and let
+`planner_of` return the old rules for existing logs.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """How a planner rated the frontier cells, and which it took."""
+    """A planner's rating of the frontier cells, and the chosen one."""
 
     index: int
-    """Into the situation's frontier."""
+    """Index into the situation's frontier."""
     utility: Float64s
     """float64[n]."""
     reward: Float64s
     """float64[n]."""
     random_draw: int | None = None
-    """The raw 64-bit number that decided, where chance did."""
+    """The raw 64-bit random number of a random choice."""
 
 
 class Planner(Protocol):
     """Anything that can choose a frontier cell.
 
     A planner keeps no state between steps: the same situation gives the same choice, so that
-    a log's decisions can be made again.
+    a log's decisions can be recomputed.
     """
 
     def choose(self, situation: Situation) -> Choice:
@@ -47,16 +47,16 @@ def load_planner(name: str) -> Planner:
     """The planner registered as `name`.
 
     Raises:
-        PluginError: there is none, or it is broken.
+        PluginError: it is unknown or broken.
     """
     return cast("Planner", plugins.load(plugins.PluginKind.PLANNERS, name)())
 
 
 def planner_of(header: EpisodeHeader) -> Planner:
-    """The planner of a log, as it decided in the version that wrote the log.
+    """The planner of a log, with the rules of the version that wrote the log.
 
     Raises:
-        PluginError: there is none of that name, or it is broken.
+        PluginError: it is unknown or broken.
     """
     if dict(header.versions).get("rules", "1") == "1":
         from mapreplay.planners import rules_1
@@ -67,8 +67,8 @@ def planner_of(header: EpisodeHeader) -> Planner:
 
 
 def best(utility: Float64s, costs: Float64s) -> int:
-    """Index of the greatest utility; of several the one of least cost, then the first, which
-    is the one of least row, then column.
+    """Index of the greatest utility; ties are broken by the lowest cost, then the lowest row, then
+    the lowest column.
     """
     ties = np.flatnonzero(utility == utility.max())
     return int(ties[np.argmin(costs[ties])])

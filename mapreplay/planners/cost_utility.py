@@ -7,7 +7,7 @@ from mapreplay.planning import Situation
 
 
 class CostUtility:
-    """Goes where the potential confidence increase per distance is greatest.
+    """Chooses the greatest potential confidence increase per distance.
 
     utility = gain / (1 + distance), with the gain of `Situation.gains`.
     """

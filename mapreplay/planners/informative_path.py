@@ -1,4 +1,4 @@
-"""Informative path: what all of the way is expected to show, per distance."""
+"""Informative path: the expected gain along the whole path, per distance."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from mapreplay.planners import Choice, best, kernels
 from mapreplay.planning import Float64s, Situation
 
 _GRAIN: Final = 2**20
-"""Parts of a cell that gains are counted in."""
+"""Unit of the gains: this fraction of a cell."""
 
 
 @dataclass(frozen=True)
 class InformativePath:
-    """Goes where the way there is expected to show most of what is missing, per distance.
+    """Chooses the greatest expected gain along the path, per distance.
 
-    utility = gain / (1 + distance). The gain counts the unknown cells of the map under
-    construction, each times P(it is explorable) times P(it is seen), where a ray passes an
+    utility = gain / (1 + distance). The gain counts the unknown cells of the target
+    map, each times P(it is explorable) times P(it is seen), where a ray passes an
     unknown cell with 1 - P(occupied). It is that of the frontier cell's own view, and for the
     `ways` best by that, and for the last target, of all views on the shortest path.
     docs/planners.md has the equations, and why this never goes in circles.
     """
 
     ways: int = 8
-    """Of how many frontier cells the whole way counts; with 0 only the views at their ends do."""
+    """Number of frontier cells whose whole path counts; with 0 only the views at the targets."""
 
     def choose(self, situation: Situation) -> Choice:
         """See `mapreplay.planners.Planner`."""
@@ -55,17 +55,15 @@ class InformativePath:
 
     @staticmethod
     def settled(gains: Float64s) -> Float64s:
-        """Gains to a millionth of a cell (2^-20), so that those of ways that show the same are
-        equal, in whatever order the rays meet the cells.
-        """
+        """Gains rounded to 2^-20 cells, so that equal gains are equal in any order of the rays."""
         return np.rint(gains * _GRAIN) / _GRAIN
 
 
 def expectations(situation: Situation) -> tuple[Float64s, Float64s]:
-    """What is to be gained by seeing each cell, and how probably a ray passes it.
+    """The gain of observing each cell, and the probability that a ray passes it.
 
-    Both float64[H, W] in [0, 1]. Where nothing is predicted, unknown cells are taken for free:
-    all are explorable, and transparent, as for Cost-Utility.
+    Both float64[H, W] in [0, 1]. Without a prediction, unknown cells count as free:
+    explorable and transparent, as for Cost-Utility.
     """
     observed = situation.observed
     if situation.prediction is None:

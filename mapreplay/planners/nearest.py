@@ -9,7 +9,7 @@ from mapreplay.planning import Situation
 
 
 class NearestFrontier:
-    """Goes to the frontier cell of least distance: utility 1 / (1 + distance)."""
+    """Chooses the nearest frontier cell: utility 1 / (1 + distance)."""
 
     def choose(self, situation: Situation) -> Choice:
         """See `mapreplay.planners.Planner`."""

@@ -10,7 +10,7 @@ from mapreplay.randomness import scale
 
 
 class RandomExploration:
-    """Goes to a frontier cell drawn uniformly, and draws anew when that is none any more."""
+    """Chooses a frontier cell uniformly at random, and again when it is no longer one."""
 
     def choose(self, situation: Situation) -> Choice:
         """See `mapreplay.planners.Planner`."""

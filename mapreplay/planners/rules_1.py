@@ -1,7 +1,7 @@
-"""How planners decided in logs without ``rules`` among their versions: those before 0.2.0.
+"""The planners of versions before 0.2.0, whose logs have no ``rules`` among their versions.
 
 Their gains were sums of rounded numbers in the order of the rays, so that a tie could be decided
-by the last bit. They are kept to make the decisions of such logs again, bit for bit.
+by the last bit. They are kept to recompute the decisions of such logs, bit for bit.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class CostUtility1:
 
 
 class InformativePath1(InformativePath):
-    """`InformativePath`, with gains as they come."""
+    """`InformativePath`, with gains that are not rounded."""
 
     @staticmethod
     def settled(gains: Float64s) -> Float64s:
@@ -45,4 +45,4 @@ PLANNERS: Final[dict[str, Planner]] = {
     "cost-utility": CostUtility1(),
     "informative-path": InformativePath1(),
 }
-"""By the names in the logs; the others decide as they did."""
+"""By their names in logs; other planners are unchanged."""

@@ -1,4 +1,4 @@
-"""Map predictors: from what was observed to the probability of a wall in every cell."""
+"""Map predictors: from the observed map to the probability of a wall in every cell."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mapreplay.step import PredictorIdentity
 
 
 class Predictor(Protocol):
-    """Anything that can complete a map."""
+    """An object that completes maps."""
 
     @property
     def identity(self) -> PredictorIdentity:
@@ -36,10 +36,10 @@ class Predictor(Protocol):
 
 @runtime_checkable
 class Choosing(Predictor, Protocol):
-    """A predictor that chooses by the map which one of several predicts."""
+    """A predictor that chooses one of several predictors by the map."""
 
     def choice(self, observed: Grid) -> str | None:
-        """A sentence about what is chosen for that map (int8[H, W]); None if nothing is.
+        """A sentence about the choice for that map (int8[H, W]); None if there is none.
 
         The same map must always give the same sentence; the log says it whenever it changes.
         """
@@ -47,7 +47,7 @@ class Choosing(Predictor, Protocol):
 
 
 def choice_of(predictor: Predictor, observed: Grid) -> str | None:
-    """What `predictor` chooses for that map (int8[H, W]), in a sentence; None if it never does."""
+    """A sentence about `predictor`'s choice for that map; None if it never chooses."""
     return predictor.choice(observed) if isinstance(predictor, Choosing) else None
 
 
@@ -68,11 +68,11 @@ def no_predictor(device: str) -> NoPredictor:  # noqa: ARG001 (what the entry po
 def load_predictor(word: str, device: str = "cpu") -> Predictor:
     """The predictor registered as `word`, or the network in the safetensors file `word`.
 
-    For what a *user* names: only a user says which file is opened. What a log or a configuration
-    names is given to `registered_predictor`.
+    Only for words given by the *user*, who decides which files are opened. For names in a log or
+    a configuration use `registered_predictor`.
 
     Raises:
-        PluginError: there is none, or it is broken.
+        PluginError: it is unknown or broken.
         WeightsError: the file cannot be read.
     """
     if word.endswith(WEIGHTS_ENDING):
@@ -83,10 +83,10 @@ def load_predictor(word: str, device: str = "cpu") -> Predictor:
 
 
 def registered_predictor(name: str, device: str = "cpu") -> Predictor:
-    """The predictor registered as `name`; whatever the name is, no file of that name is opened.
+    """The predictor registered as `name`; no file of that name is ever opened.
 
     Raises:
-        PluginError: there is none, or it is broken.
+        PluginError: it is unknown or broken.
     """
     try:
         factory = plugins.load(plugins.PluginKind.PREDICTORS, name)
@@ -101,5 +101,5 @@ def registered_predictor(name: str, device: str = "cpu") -> Predictor:
 
 @lru_cache(maxsize=8)
 def kept_predictor(name: str, device: str = "cpu") -> Predictor:
-    """`load_predictor`, once in a process: for many episodes one after the other."""
+    """`load_predictor`, cached in this process for many episodes."""
     return load_predictor(name, device)

@@ -1,4 +1,4 @@
-"""The networks that can be trained and run, by name."""
+"""The network architectures, by name."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ class Architecture:
 
     name: str
     description: str
-    """For the model card."""
+    """Text for the model card."""
     build: Callable[[], nn.Module]
     """With random weights."""
     padding: int
-    """What the cells are that are added to a map so that its sides are multiples of 8."""
+    """Cells that pad a map to multiples of 8."""
     fewest_maps: int
     """That are trained on at once; one map of 32 x 32 cells is one cell at the U-Net's coarsest
     level, and nothing to normalize by."""
@@ -72,15 +72,15 @@ _NOTE: Final = "mapreplay.architecture"
 
 
 def notes_of(architecture: Architecture) -> dict[str, str]:
-    """What is written into the weights' file, for `architecture_of`."""
+    """The notes in the file of the weights, for `architecture_of`."""
     return {_NOTE: architecture.name}
 
 
 def architecture_of(notes: Mapping[str, str], path: Path) -> Architecture:
-    """The network whose weights `path` holds; the paper's where the file does not say it.
+    """The architecture of the weights in `path`; by default the paper's.
 
     Raises:
-        WeightsError: it is none of ours.
+        WeightsError: it is unknown.
     """
     name = notes.get(_NOTE, AUTOENCODER.name)
     if name not in ARCHITECTURES:

@@ -1,9 +1,9 @@
-"""The predictor `auto`: looks at the map, and lets the predictor of its kind predict, or none.
+"""The predictor `auto` chooses the predictor for the kind of map, or none.
 
-A small network (one hidden layer) on the runs of the observed map (`auto_features`) says how
-probable it is that the floor plan is of D1's kind, of D2's kind, or of neither. Where one of the
-first two is sure enough, its predictor predicts; else nothing is predicted, and the fused map is
-the observed one. The answer follows from the map alone: with every step it may be another.
+A small network (one hidden layer) on the runs of the observed map (`auto_features`) estimates
+the probability that the floor plan is of D1's kind, of D2's kind, or of neither. If one of the
+first two is probable enough, its predictor is used; otherwise there is no prediction, and the fused
+map is the observed map. The choice depends on the map alone, and can change with every step.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ UNSURE: Final = "unsure: nothing is predicted"
 
 
 class PlanKind(StrEnum):
-    """What a floor plan can be, in the order of the columns of `Classifier.out`."""
+    """The kinds of floor plans, in the order of the columns of `Classifier.out`."""
 
     D1 = "d1"
     D2 = "d2"
@@ -40,7 +40,7 @@ class PlanKind(StrEnum):
 
 
 PREDICTOR_OF: Final[Mapping[PlanKind, str]] = {PlanKind.D1: "d1", PlanKind.D2: "d2"}
-"""The registered predictor of each kind; a kind without one is not predicted."""
+"""The registered predictor of each kind; other kinds are not predicted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class Classifier:
     out_bias: npt.NDArray[np.float64]
     """float64[3]."""
     sure: float
-    """The least probability at which a kind is taken for sure."""
+    """The probability from which a kind is chosen."""
 
     def probabilities(self, counts: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
         """float64[..., 3]: P(kind) for int64[..., 126] counts of `WORDS`."""
@@ -67,7 +67,7 @@ class Classifier:
         return p
 
     def kind(self, observed: Grid) -> PlanKind:
-        """The kind of floor plan that int8[H, W] `observed` is surely of, or neither."""
+        """The kind of floor plan of int8[H, W] `observed`, or neither."""
         counts = count_words(observed)
         if not counts.any():
             return PlanKind.NEITHER
@@ -125,7 +125,7 @@ def save_classifier(classifier: Classifier, path: Path, card: Mapping[str, objec
 
 
 class AutoPredictor:
-    """Chooses for every map anew which predictor predicts, or that none does."""
+    """Chooses a predictor, or none, for every map."""
 
     def __init__(
         self, classifier: Classifier, predictors: Mapping[PlanKind, Predictor], sha256: str

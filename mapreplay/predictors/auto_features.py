@@ -1,13 +1,13 @@
-"""What tells kinds of floor plans apart: how long the straight runs of equal cells are.
+"""Features of kinds of floor plans: the lengths of straight runs of equal cells.
 
 A run is a longest row or column of equal cells. Its kind says what is at its two ends, and with
 its length it is a *word*: free space of 12 cells between two walls, a wall of 1 cell with nothing
 known behind it. Counted are free and occupied runs, and the unknown ones between two known
 cells (the inside of a thick wall). A run that repeats the one in the line before, with the same
-ends, is not counted again, so that a room is one word a direction however large it is.
+ends, is not counted again, so that a room of any size is one word per direction.
 
-Nothing here depends on where the map lies in its grid, or on the grid's size; and a map that is
-turned by 90 degrees or mirrored has the same words.
+The features do not depend on the position of the map in its grid, nor on the grid's size; a map
+rotated by 90 degrees or mirrored has the same words.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy.typing as npt
 from mapreplay.grid import UNKNOWN, Grid
 
 LENGTHS: Final = (1, 2, 3, 4, 5, 6, 7, 9, 11, 14, 18, 23, 29, 37)
-"""The least length of each class of lengths, in cells."""
+"""The minimum length of each class of lengths, in cells."""
 KINDS: Final = (
     "free, both ends open",
     "free, one end open",

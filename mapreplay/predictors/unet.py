@@ -28,7 +28,7 @@ class UNet(nn.Module):
     """One-hot maps float[B, 3, H, W] (occupied, free, unknown) to logits float[B, 1, H, W].
 
     H and W are multiples of 2. Cells outside of the floor plan's grid (`network.OUTSIDE`) are 0
-    in all three channels: where the grid ends is known. What was observed stays as it is.
+    in all three channels: where the grid ends is known. Observed cells are unchanged.
     """
 
     def __init__(self) -> None:

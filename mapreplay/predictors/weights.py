@@ -1,4 +1,4 @@
-"""Weights on disk: safetensors and a model card beside it. Nothing is ever unpickled."""
+"""Weights on disk: safetensors and a model card. Nothing is ever unpickled."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MAX_BYTES: Final = 256 << 20
 
 @dataclass(frozen=True)
 class ModelCard:
-    """What is known of a trained predictor; ``<name>.json`` beside the weights."""
+    """Facts about a trained predictor; ``<name>.json`` next to the weights."""
 
     name: str
     architecture: str
@@ -39,21 +39,21 @@ class ModelCard:
     validation_loss: float
     validation_f1: float
     sha256: str
-    """Of the safetensors file."""
+    """Hash of the safetensors file."""
     command: str
     loss_region: str = "all"
     """Cells that counted in the loss: all, or the explorable ones."""
     init_sha256: str = ""
-    """Of the weights that the training started from; empty: random ones."""
+    """SHA-256 of the initial weights; empty for random ones."""
     temperature: float | None = None
-    """What the trained network's logits have to be divided by to fit the held-out plans best;
-    more than 1 where it is too sure. None: not measured."""
+    """The divisor of the trained network's logits that fits the held-out plans best; more than 1
+    if it is overconfident. None: not measured."""
     calibrated: bool = False
-    """Whether they were, in its last layer."""
+    """Whether they were divided by it, in the last layer."""
     curve: list[dict[str, float]] = field(default_factory=list)
 
     def to_json(self) -> bytes:
-        """As it is written."""
+        """The JSON text of the card."""
         return (json.dumps(asdict(self), indent=1) + "\n").encode()
 
 
@@ -75,7 +75,7 @@ def encode_tensors(tensors: Mapping[str, torch.Tensor], notes: Mapping[str, str]
     """A safetensors file.
 
     Raises:
-        WeightsError: a value is not finite: nothing of that kind is ever written.
+        WeightsError: a value is not finite.
     """
     for name, value in tensors.items():
         if not bool(torch.isfinite(value).all()):
@@ -94,19 +94,19 @@ def tensors_sha256(tensors: Mapping[str, torch.Tensor]) -> str:
 
 
 def card_path(weights: Path) -> Path:
-    """Where the model card of weights is."""
+    """The path of the model card of weights."""
     return weights.with_suffix(".json")
 
 
 def save_weights(path: Path, content: bytes, card: ModelCard, *, force: bool = False) -> None:
-    """Write a safetensors file and its card: both are the new ones, or both are as they were.
+    """Write a safetensors file and its card; on failure both are unchanged.
 
     Raises:
         ExistsError, WriteError: see `mapreplay.files.whole_path`.
     """
-    beside = card_path(path)
+    card_file = card_path(path)
     with (
-        whole_path(beside, force=force) as card_draft,
+        whole_path(card_file, force=force) as card_draft,
         whole_path(path, force=force) as draft,
     ):
         for each, data in ((card_draft, card.to_json()), (draft, content)):
@@ -143,7 +143,7 @@ def load_state(model: torch.nn.Module, tensors: Mapping[str, torch.Tensor], path
     """Put `tensors`, read from `path`, into `model`.
 
     Raises:
-        WeightsError: they are those of another network.
+        WeightsError: they belong to another network.
     """
     try:
         model.load_state_dict(tensors)
@@ -153,7 +153,7 @@ def load_state(model: torch.nn.Module, tensors: Mapping[str, torch.Tensor], path
 
 
 def _check_regular(path: Path) -> None:
-    """A named pipe or a device would be waited for without end."""
+    """Reading a named pipe or a device would never end."""
     try:
         mode = path.stat().st_mode
     except (OSError, ValueError) as error:

@@ -38,10 +38,10 @@ from mapreplay.training.other_plans import DRAWN
 SNAPSHOTS: Final = (0, 1, 2, 5, 10, 20, 50, 100, 200)
 """Steps of an episode whose observed maps are examples."""
 TREES: Final = 4
-"""Random trees of observations a plan."""
+"""Random trees of observations per plan."""
 FINE: Final = 0.1
 COARSE: Final = 0.4
-"""Metres a cell of the houses that are of neither kind; the predictors' is 0.2."""
+"""Metres per cell of the houses of neither kind; the predictors' is 0.2."""
 HIDDEN: Final = 16
 SURE: Final = 0.95
 """See `Classifier.sure`."""
@@ -60,7 +60,7 @@ class Examples:
 
 
 def observe(plans: Iterable[FloorPlan], seed: int) -> Examples:
-    """What agents know of `plans` after some steps."""
+    """The observed maps of agents on `plans` after some steps."""
     counts, steps, numbers = [], [], []
     for number, plan in enumerate(plans):
         for step, observed in snapshots(plan, number, seed):
@@ -169,12 +169,12 @@ def examples_of(
     drawn and of coarse houses, and three times as many fine houses: the hardest to tell from D2.
 
     Args:
-        archive: HouseExpo's.
+        archive: The HouseExpo archive.
         ids: Houses to take, the first ones of this list.
         first: Number of the first procedural or drawn plan.
         count: Plans of each kind.
         others: Plans of each sort that is of neither kind.
-        seed: Of the random starts and trees.
+        seed: Seed of the random starts and trees.
     """
     numbers = range(first, first + count)
     found = {
@@ -189,7 +189,7 @@ def examples_of(
 
 
 def save_examples(examples: Mapping[str, Examples], path: Path) -> None:
-    """Keep examples in an npz file, to fit again without observing again."""
+    """Save examples to an npz file, to fit again without simulating again."""
     np.savez_compressed(
         path,
         **{
@@ -205,9 +205,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m mapreplay.training.auto")
     parser.add_argument("--houses", type=Path, required=True, help="HouseExpo's json.tar.gz")
     parser.add_argument("--ids", type=Path, required=True, help="HouseExpo's map_id_train.txt")
-    parser.add_argument("--hold-out", type=int, default=1000, help="houses of least SHA-256")
-    parser.add_argument("--plans", type=int, default=600, help="of D1 and of D2")
-    parser.add_argument("--others", type=int, default=120, help="of each sort of neither kind")
+    parser.add_argument(
+        "--hold-out",
+        type=int,
+        default=1000,
+        help="number of held-out houses, those with the lowest SHA-256",
+    )
+    parser.add_argument("--plans", type=int, default=600, help="number of plans of D1 and of D2")
+    parser.add_argument(
+        "--others", type=int, default=120, help="number of plans of each sort of neither kind"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("-o", "--out", type=Path, required=True, help="parameters to write (JSON)")
     options = parser.parse_args()

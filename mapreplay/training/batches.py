@@ -1,4 +1,4 @@
-"""Batches in the order of the training, made ahead by other processes if there are any."""
+"""Batches in the order of the training, made in advance by other processes if there are any."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from mapreplay.training.dataset import Batch, Epoch
 from mapreplay.workers import in_order
 
 AHEAD: Final = 4
-"""Batches that each process is told to make in advance."""
+"""Number of batches that each process makes in advance."""
 
 BatchMaps: TypeAlias = Sequence[tuple[int, int]]
 """(index of plan, run) of each map of a batch."""
 
 
 class BatchPosition(NamedTuple):
-    """Where a batch comes in the training."""
+    """The position of a batch in the training."""
 
     epoch: int
     batch: int
@@ -40,7 +40,7 @@ def batches_from(
         return place, epoch(place.epoch).batch(group)
 
     def make_there(item: tuple[BatchPosition, BatchMaps]) -> tuple[BatchPosition, Batch]:
-        cv2.setNumThreads(0)  # there are as many processes as are wanted
+        cv2.setNumThreads(0)  # parallelism comes from the processes
         return make(item)
 
     groups = _groups(epoch, first)

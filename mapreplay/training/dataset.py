@@ -29,7 +29,7 @@ MAX_SIDE: Final = 160
 """Larger plans are cut to a window of this many cells along a side."""
 MIN_SIDE: Final = 8
 MAPS_PER_LOG: Final = 24
-"""Observed maps of a logged episode that are trained on; neighbouring steps are much alike."""
+"""Observed maps per logged episode, because neighbouring steps are similar."""
 ORIENTATIONS: Final = 8
 """Ways to turn and mirror a map."""
 
@@ -50,24 +50,24 @@ class LossRegion(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class TrainingPlan:
-    """A floor plan, its explorable cells, and whence it came in the list of plans."""
+    """A floor plan, its explorable cells, and its number in the list of plans."""
 
     number: int
     truth: Grid
     explorable: Mask
     logged: tuple[Grid, ...] = ()
-    """What an agent had observed of it at some steps, each of the shape of `truth`. Where there
-    is none, observations are simulated."""
+    """Observed maps of an agent at some steps, each of the shape of `truth`. If empty, observations
+    are simulated."""
     id: str = ""
-    """Of the floor plan, for messages."""
+    """ID of the floor plan, for messages."""
     where: str = ""
-    """What a message calls the floor plan."""
+    """Name of the floor plan in messages."""
     doubts: tuple[Doubt, ...] = ()
-    """Why it may not be what was meant."""
+    """Doubts about the floor plan."""
 
     @property
     def runs(self) -> int:
-        """How many observed maps there are of it."""
+        """Number of its observed maps."""
         return len(self.logged) or RUNS_PER_PLAN
 
     def observe(self, run: int, seed: int) -> Grid:
@@ -97,10 +97,10 @@ class Layout:
     """How maps are made into batches."""
 
     padding: int
-    """What the cells are that are added so that the sides are what the network takes."""
+    """Cells that pad a map to a size that the network accepts."""
     loss_region: LossRegion
     fewest_left_over: int = 1
-    """At the end of an epoch, maps of one shape that are left over and fewer are left out."""
+    """Minimum number of remaining maps of one shape at the end of an epoch; fewer are dropped."""
 
 
 def prepare_plan(
@@ -124,9 +124,9 @@ def prepare_plan(
 def load_plans(
     numbers: Mapping[str, int], source: FloorPlanSource
 ) -> Iterator[TrainingPlan | FloorPlanError]:
-    """Each plan, or why it was refused: one bad house does not end the training.
+    """Each plan, or its error: one invalid house does not end the training.
 
-    `numbers` says of each id its place in the list of plans.
+    `numbers` is the position of each ID in the list of plans.
     """
     for floor_plan_id, plan in load_each(source, list(numbers)):
         if isinstance(plan, FloorPlanError):
@@ -139,7 +139,7 @@ def load_plans(
 
 
 def padded_shape(plan: TrainingPlan) -> tuple[int, int]:
-    """The plan's shape, rounded up to what the network takes."""
+    """The plan's shape, rounded up to a size that the network accepts."""
     height, width = plan.truth.shape
     return height + -height % STRIDE_MULTIPLE, width + -width % STRIDE_MULTIPLE
 
@@ -153,7 +153,7 @@ def make_batch(
 ) -> Batch:
     """One observed map of each plan; all plans have one padded shape.
 
-    `orientation` (0 to 7) says how all of them are turned and mirrored; 0 is as they are.
+    `orientation` (0 to 7) is the rotation and reflection of all of them; 0 is the identity.
     """
 
     def padded(cells: npt.NDArray[np.int8], padding: int) -> npt.NDArray[np.int8]:
@@ -200,8 +200,8 @@ def loss_weights(
 class Epoch:
     """One pass over all observed maps, in random order, grouped by shape.
 
-    Where some are of logs and others are simulated, the pass has all of the logs' and as many
-    of the simulated ones, drawn anew for every epoch.
+    If some are logged and others simulated, the pass has all logged ones and the same number of
+    simulated ones, drawn again for every epoch.
     """
 
     plans: Sequence[TrainingPlan]

@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from mapreplay.errors import FloorPlanError, LogError, UsageError
 from mapreplay.floorplans import FloorPlanSource, by_sha256, open_source, read_ids, select
@@ -58,27 +58,12 @@ class TrainingJob:
         return self.out.with_suffix(".checkpoint")
 
 
-class ParallelMap(Protocol):
-    """`mapreplay.analysis.pool.map_unordered`."""
-
-    def __call__(
-        self,
-        work: Callable[[Any], Any],
-        items: Sequence[Any],
-        jobs: int,
-        *,
-        lost: Callable[[Any, Any], Any] | None = None,
-        name: Callable[[Any], str] | None = None,
-    ) -> Iterator[Any]:
-        """work(item) of every item, in the order in which they are done."""
-        ...
-
-
 @dataclass(frozen=True)
 class Environment:
     """What a training needs from the layers above: processes, logs and output."""
 
-    map_unordered: ParallelMap
+    map_unordered: Callable[..., Iterator[Any]]
+    """`mapreplay.analysis.pool.map_unordered`."""
     read_log: Callable[[tuple[int, Path]], tuple[str, TrainingPlan] | LogError]
     """Reads log number `int`: floor-plan ID and observed maps. A function of a module."""
     note: Callable[[str], None]
@@ -103,7 +88,7 @@ def run_training(job: TrainingJob, environment: Environment) -> ModelCard:
         trainer.resume()
         environment.note(f"resumed after {trainer.samples} samples")
     elif job.resume:
-        environment.note(f"{job.checkpoint}: no checkpoint, so that the training starts anew")
+        environment.note(f"{job.checkpoint}: no checkpoint; the training starts from its beginning")
     with (
         closing(trainer.run()) as reports,
         environment.progress("training", job.config.samples) as completed,
@@ -129,7 +114,7 @@ def run_training(job: TrainingJob, environment: Environment) -> ModelCard:
 def _load_data(
     job: TrainingJob, environment: Environment
 ) -> tuple[list[TrainingPlan], list[TrainingPlan]]:
-    """The plans to train on, and those to validate on, which are none of the former."""
+    """The plans to train on, and the plans to validate on; no plan is in both."""
     source, wanted = None, list[str]()
     if job.floorplans is not None:
         source = open_source(job.floorplans, job.resolution)

@@ -48,23 +48,23 @@ from mapreplay.training.dataset import (
 from mapreplay.training.origin import TrainingOrigin
 
 CHECKED_EVERY: Final = 100
-"""Batches after which the loss on a GPU is looked at, which has to wait for it then."""
+"""Number of batches between checks of the loss on a GPU, which have to wait for it."""
 VALIDATION_SEED: Final = 2**63
 """Apart from every training seed, so that no validation observation was trained on."""
 
 
 class TrainingError(MapreplayError):
-    """The training cannot go on."""
+    """The training cannot continue."""
 
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """What the result depends on, beside the floor plans."""
+    """Everything that the result depends on, except the floor plans."""
 
     samples: int = 400_000
-    """Observation maps to train on, in all."""
+    """Total number of observed maps to train on."""
     batch: int = 32
-    """Maps of 64 x 64 cells a batch; larger maps come in smaller batches."""
+    """Maps of 64 x 64 cells per batch; larger maps come in smaller batches."""
     learning_rate: float = 2e-3
     """Peak; warmed up over the first hundredth, then a cosine to zero."""
     seed: int = 0
@@ -72,10 +72,10 @@ class TrainingConfig:
     """Samples between two points of the held-out curve."""
     loss_region: LossRegion = LossRegion.ALL
     init_sha256: str = ""
-    """Of the weights that the training starts from; empty: random ones."""
+    """SHA-256 of the initial weights; empty for random ones."""
     architecture: str = AUTOENCODER.name
     weight_decay: float = 0.0
-    """AdamW's."""
+    """Weight decay of AdamW."""
     calibrate: bool = False
     """Divide the last layer by the temperature that fits the held-out plans best."""
     bfloat16: bool = False
@@ -90,7 +90,7 @@ class CurvePoint:
 
     samples: int
     train_loss: float
-    """Mean binary cross-entropy a cell since the last point, nats."""
+    """Mean binary cross-entropy per cell since the last point, nats."""
     validation_loss: float
     validation_f1: float
     """F1 of the raw prediction (p >= .5) on explorable cells, pooled over the plans."""
@@ -100,7 +100,7 @@ class CurvePoint:
 
 @dataclass
 class _State:
-    """Where training stands; all of it is in the checkpoint."""
+    """The progress of the training, which is in the checkpoint."""
 
     samples: int = 0
     epoch: int = 0
@@ -121,7 +121,9 @@ class Trainer:
         checkpoint: Path,
         jobs: int = 1,
     ) -> None:
-        """`jobs` processes make the batches: a GPU waits for one. The result is the same."""
+        """`jobs` processes make the batches, for one of which a GPU would wait. The result does not
+        depend on it.
+        """
         torch.manual_seed(config.seed)
         self.plans = plans
         self.config = config
@@ -256,10 +258,10 @@ class Trainer:
 
     @torch.inference_mode()
     def temperature(self) -> float:
-        """By what the logits would have to be divided to fit the held-out plans best.
+        """The divisor of the logits that fits the held-out plans best.
 
-        Temperature scaling (Guo et al. 2017): 1 where the network is as sure as it may be, more
-        where it is too sure. In [1/4, 4].
+        Temperature scaling (Guo et al. 2017): 1 if the network is calibrated, more if it is
+        overconfident. In [1/4, 4].
         """
         self.model.eval()
         logits, walls, weights = [], [], []
@@ -279,7 +281,7 @@ class Trainer:
 
     @torch.no_grad()
     def divide_logits(self, temperature: float) -> None:
-        """Make the network by so much less sure: its last layer is divided."""
+        """Divide the last layer by `temperature`, which makes the network less confident."""
         for parameter in self.model.get_submodule("head").parameters():
             parameter.div_(temperature)
 
@@ -315,7 +317,7 @@ class Trainer:
         write_whole(self.checkpoint, content, force=True)
 
     def resume(self) -> None:
-        """Go on from the checkpoint.
+        """Resume from the checkpoint.
 
         Raises:
             WeightsError: it cannot be read, is damaged, or was made with other plans, options,
@@ -328,14 +330,14 @@ class Trainer:
             about = json.loads(notes["mapreplay.training"])
             if "origin" not in about:
                 raise WeightsError(
-                    f"{self.checkpoint}: of an earlier version, which did not say what it began "
-                    "with; start anew with --force, or choose another --out"
+                    f"{self.checkpoint}: of an earlier version, which did not record its origin; "
+                    "start over with --force, or choose another --out"
                 )
             differences = TrainingOrigin.from_json(about["origin"]).differences(self.origin)
             if differences:
                 raise WeightsError(
                     f"{self.checkpoint}: was made with {'; '.join(differences)}; resume with the "
-                    "same, start anew with --force, or choose another --out"
+                    "same, start over with --force, or choose another --out"
                 )
             if about["tensors"] != tensors_sha256(tensors):
                 raise ValueError("its checksum does not match")
@@ -343,7 +345,7 @@ class Trainer:
         except (ValueError, KeyError, TypeError, AttributeError, RuntimeError) as error:
             reason = " ".join(str(error).split())[:120]
             raise WeightsError(
-                f"{self.checkpoint}: a damaged checkpoint ({reason}); start anew with --force"
+                f"{self.checkpoint}: a damaged checkpoint ({reason}); start over with --force"
             ) from None
 
     def _load(self, state: dict[str, Any], tensors: Mapping[str, torch.Tensor]) -> None:
@@ -370,13 +372,13 @@ def finish(
     command: str,
     force: bool = False,
 ) -> ModelCard:
-    """Write the trained weights to `out` and their card beside it; the checkpoint is removed.
+    """Write the trained weights to `out` and their card next to it; the checkpoint is removed.
 
-    The texts say in the card what the plans were, and how to make the weights again.
+    The card has the given texts about the plans and the command that reproduces the weights.
 
     Raises:
-        ExistsError: weights or card are there and `force` is not given; the checkpoint stays.
-        WriteError: they cannot be written; what was there before and the checkpoint stay.
+        ExistsError: weights or card exist and `force` is not given; the checkpoint stays.
+        WriteError: they cannot be written; existing files and the checkpoint stay.
         WeightsError: a value is not finite.
     """
     temperature = trainer.temperature()

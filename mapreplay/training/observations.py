@@ -3,7 +3,7 @@
 The paper: "selecting an initial location within the empty occupancy grid at random and
 accumulating observations randomly in a tree-like fashion to a certain depth which was
 random as well. The simulation was run 5 times on each floorplan". Ours: the tree grows by
-walks along a random ray for a random length; three of four go on where the last one ended,
+walks along a random ray for a random length; three of four start where the last one ended,
 the others branch off at a random cell visited before; and the agent observes at every cell
 that it passes, as it does when it explores. The number of walks is drawn log-uniformly
 from one to twice the number of free cells, so that few and many observations are equally

@@ -1,4 +1,4 @@
-"""What a training began with: it goes on with the same, or not at all."""
+"""The origin of a training, which can only be resumed with the same origin."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ _SHOWN: Final = 12
 
 @dataclass(frozen=True)
 class PlanSet:
-    """A list of floor plans: how many, which, and what they are cell for cell."""
+    """A digest of a list of floor plans: number, IDs and cells."""
 
     count: int
     first: str
     last: str
     sha256: str
-    """Of all cells, of what was logged, and of the order."""
+    """Digest of all cells, logged maps, and their order."""
 
     @classmethod
     def of(cls, plans: Sequence[TrainingPlan]) -> Self:
-        """That of `plans`."""
+        """The digest of `plans`."""
         digest = hashlib.sha256()
         for plan in plans:
             digest.update(f"{plan.number} {plan.id!r} {plan.truth.shape}\n".encode())
@@ -43,7 +43,7 @@ class PlanSet:
 
 @dataclass(frozen=True)
 class TrainingOrigin:
-    """All that the result of a training depends on."""
+    """Everything that the result of a training depends on."""
 
     options: Mapping[str, Any]
     """By name, with ``init_sha256`` for the weights that it starts from."""
@@ -61,7 +61,7 @@ class TrainingOrigin:
         plans: Sequence[TrainingPlan],
         validation: Sequence[TrainingPlan],
     ) -> Self:
-        """That of a training which begins now."""
+        """The origin of a training that starts now."""
         code = source_digest("mapreplay.training.loop")
         return cls(
             dict(options), PlanSet.of(plans), PlanSet.of(validation), code, torch.__version__
@@ -87,7 +87,7 @@ class TrainingOrigin:
         )
 
     def differences(self, now: TrainingOrigin) -> list[str]:
-        """What is another thing `now`, each in a few words."""
+        """The differences to `now`, each in a few words."""
         found = [
             f"{_option(key)} {_short(self.options.get(key))} (now {_short(now.options.get(key))})"
             for key in sorted({*self.options, *now.options})

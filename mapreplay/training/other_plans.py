@@ -1,4 +1,4 @@
-"""Floor plans of neither kind: what the predictor `auto` must not take for D1 or D2.
+"""Floor plans of neither kind, which the predictor `auto` must not classify as D1 or D2.
 
 D1 plans at another scale than the predictors were trained at, and drawings that are no rooms
 at all. Every plan follows from its number alone.

@@ -142,7 +142,7 @@ def test_whatif_tabulates_the_grid(cli: Run) -> None:
         (["--delta-free", "high"], "--delta-free high: expected a threshold, or FIRST:LAST"),
         (["--delta-free", ".9:.5"], "--delta-free .9:.5: expected"),
         (["--delta-occupied", "0:.5"], "--delta-occupied 0:.5: expected"),
-        (["--delta-occupied", ".1:.5:1000"], "at most 200 of them"),
+        (["--delta-occupied", ".1:.5:1000"], "COUNT at most 200"),
         (["--step", "11"], "has steps 0 to 10"),
         (["--plot", "heat.jpg"], "should end in .png or .svg"),
     ],

@@ -188,4 +188,4 @@ def test_an_out_that_is_no_folder_is_refused(cli: Run, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     result = cli("experiment", TINY, "--out", tmp_path / "file")
     assert result.code == 2
-    assert "file: is a file, or in one; name a folder" in result.err
+    assert "file: is a file, or in one; give the name of a folder" in result.err

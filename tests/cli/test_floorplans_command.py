@@ -122,9 +122,7 @@ def test_each_of_many_maps_is_named_or_they_are_summed_up(cli: Run, tmp_path: Pa
         write_map(tmp_path / f"f{number}.yaml", "/home/robot/office.pgm")
     result = cli("floorplans", tmp_path, "--format", "json")
     (line,) = [line for line in result.err.splitlines() if line.startswith("warning")]
-    assert f"8 of 8 floor plans may not be what is meant: another image (8, such as {tmp_path}" in (
-        line
-    )
+    assert f"8 of 8 floor plans may be read wrongly: another image (8, such as {tmp_path}" in (line)
     rows = json.loads(result.out)["rows"]
     assert all("office.pgm next to it was taken" in row["doubts"] for row in rows)
 
@@ -135,7 +133,7 @@ def test_training_sums_up_what_is_odd_about_its_plans(
     for name in "abcdefg":
         write_image(tmp_path / f"{name}.png", outside=255)
     load("training", open_source(str(tmp_path)), list("abcdef"), 1, environment())
-    assert "6 of 6 floor plans may not be what is meant: start outside (6, such as" in (
+    assert "6 of 6 floor plans may be read wrongly: start outside (6, such as" in (
         capsys.readouterr().err
     )
 

@@ -71,7 +71,7 @@ def test_what_is_there_stays_without_force_and_a_link_with_it(
     (tmp_path / name).symlink_to("target")
     result = cli(*command.split(), tmp_path / name, "--force")
     assert result.code == 2
-    assert result.err.endswith("is a link, which is never written through; name its target\n")
+    assert result.err.endswith("is a link; give its target instead\n")
     assert (tmp_path / "target").read_bytes() == b"old"
     (tmp_path / name).unlink()
     (tmp_path / name).write_bytes(b"old")
@@ -101,7 +101,7 @@ def test_a_log_is_not_recorded_through_a_link(cli: Run, tmp_path: Path, ending: 
         "--floorplans", "procedural:7", "--max-steps", 2, "--out", tmp_path, "--force",
     )  # fmt: skip
     assert result.code == 1
-    assert f"{name}{ending}: is a link, which is never written through" in result.err
+    assert f"{name}{ending}: is a link; give its target instead" in result.err
     assert (tmp_path / "target").read_bytes() == b"old"
 
 

@@ -96,7 +96,7 @@ def test_a_missing_configuration_is_named(tmp_path: Path) -> None:
         (b"\n\nx = " + b"{a=" * 3000 + b"1" + b"}" * 3000, r"c\.toml, line 3: nested too deeply"),
         (
             b"seed = 1\nepisodes = " + b"9" * 5000,
-            r"c\.toml, line 2: a value that cannot be \(.+\)$",
+            r"c\.toml, line 2: an invalid value \(.+\)$",
         ),
         (b"seed = 1\n# caf\xe9\n", r"c\.toml, line 2: not UTF-8 text \(save it as UTF-8\)"),
         ("seed = 1".encode("utf-16"), r"c\.toml, line 1: not UTF-8 text"),

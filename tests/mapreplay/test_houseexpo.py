@@ -189,7 +189,7 @@ def test_a_house_without_a_free_cell_is_refused_with_its_id() -> None:
 
 @pytest.mark.parametrize("resolution", [0.0, -1.0, 1e-300, 1e6, math.nan, math.inf])
 def test_a_resolution_that_makes_no_sense_is_refused(resolution: float, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"must be 0\.01 to 5 metres a cell"):
+    with pytest.raises(UsageError, match=r"must be 0\.01 to 5 metres per cell"):
         open_source(str(tmp_path), resolution)
 
 

@@ -448,7 +448,7 @@ def test_a_missing_key_is_named(tmp_path: Path, key: str) -> None:
         ("origin", "[0, x, 0]", "three finite numbers"),
         ("origin", "[0, .nan, 0]", "three finite numbers"),
         ("origin", "{x: 0}", "three finite numbers"),
-        ("origin", "[0, 0, 1.57]", "a yaw of 1.57 rad; turned maps are not supported"),
+        ("origin", "[0, 0, 1.57]", "a yaw of 1.57 rad; rotated maps are not supported"),
         ("negate", "2", "negate is 2; expected 0 or 1"),
         ("negate", "no", "negate is 'no'"),
         ("negate", "0.0", "negate is 0.0"),
@@ -602,7 +602,7 @@ def test_a_folder_without_a_map_is_refused(tmp_path: Path) -> None:
 def test_a_resolution_cannot_be_chosen(tmp_path: Path) -> None:
     path = str(write_yaml(tmp_path / "plan.yaml"))
     assert open_source(path, None).default_predictor == "d2"
-    with pytest.raises(UsageError, match=r"the resolution that its YAML file says, not 0\.1"):
+    with pytest.raises(UsageError, match=r"set by its YAML file, not 0\.1"):
         open_source(path, 0.1)
 
 

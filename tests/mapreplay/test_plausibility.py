@@ -325,7 +325,7 @@ def test_a_few_warnings_are_lines_and_many_are_a_summary() -> None:
     names = [f"plan{k}" for k in range(100)]
     (line,) = warning_lines(names, [[wall, out] if k % 2 else [] for k in range(99)] + [[out]])
     assert line.startswith(
-        "warning: 50 of 100 floor plans may not be what is meant: start outside (50, such as plan1)"
+        "warning: 50 of 100 floor plans may be read wrongly: start outside (50, such as plan1)"
         ", no wall (49, such as plan1)"
     )
     assert warning_lines([], []) == []

@@ -139,5 +139,5 @@ def test_the_source_refuses_what_it_does_not_list(name: str) -> None:
 
 def test_only_the_own_resolution_is_offered() -> None:
     assert open_source("3", D1.resolution).load("procedural-3").resolution == D1.resolution
-    with pytest.raises(UsageError, match=r"0\.2 m a cell, not 0\.1"):
+    with pytest.raises(UsageError, match=r"0\.2 m per cell, not 0\.1"):
         open_source("3", 0.1)

@@ -134,7 +134,7 @@ def test_a_path_that_is_nearly_one(tmp_path: Path, spec: str, there: str) -> Non
 
 @pytest.mark.parametrize("spec", ["", "procedrual", "unknown:rest", "a\0b", "x" * 5000])
 def test_what_is_neither_a_source_nor_a_path_lists_what_is_understood(spec: str) -> None:
-    with pytest.raises(UsageError, match=r"no such file or folder, and no source; understood are"):
+    with pytest.raises(UsageError, match=r"no such file or folder, and no source; supported are"):
         open_source(spec)
 
 
@@ -180,8 +180,8 @@ def test_an_id_list_has_blank_lines_and_comments(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
-        (b"", "holds no id"),
-        (b"# nothing\n\n", "holds no id"),
+        (b"", "contains no ID"),
+        (b"# nothing\n\n", "contains no ID"),
         (b"a\n../b\n", "line 2: '../b' is not an id"),
         (b"a b\n", "line 1: 'a b' is not an id"),
         (b"x" * 129, "line 1: 'x*' is not an id"),

@@ -148,5 +148,5 @@ def test_a_folder_that_cannot_be_is_a_clear_error(blurred: Recorded, tmp_path: P
     log = EpisodeLog(blurred.path)
     with pytest.raises(WriteError, match=r"cannot be written \(.+\)"):
         export_arrays(log, tmp_path / "file" / "a.npz")
-    with pytest.raises(ExistsError, match="file: is a file, or in one; name a folder"):
+    with pytest.raises(ExistsError, match="file: is a file, or in one; give the name of a folder"):
         export_images(log, tmp_path / "file", [0])

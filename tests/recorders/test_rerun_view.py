@@ -368,7 +368,7 @@ def test_a_file_that_cannot_be_written_is_a_clear_error(
     with pytest.raises(WriteError, match=r"x\.rrd: cannot be written \(no folder .+\)"):
         save_rrd(tmp_path / "nowhere" / "x.rrd", [Replay(episode.header, steps)])
     (tmp_path / "folder").mkdir()
-    with pytest.raises(ExistsError, match="folder: is a folder; name a file"):
+    with pytest.raises(ExistsError, match="folder: is a folder; give the name of a file"):
         save_rrd(tmp_path / "folder", [Replay(episode.header, steps)], force=True)
 
 
