@@ -16,18 +16,26 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from mapreplay.analysis.branching import branch
+    from mapreplay.analysis.bundling import bundle
     from mapreplay.analysis.comparison.compare import compare, comparison_frame
     from mapreplay.analysis.comparison.groups import group_episodes
+    from mapreplay.analysis.diagnosis.diagnosis import diagnose
     from mapreplay.analysis.diff.divergence import find_partings
     from mapreplay.analysis.diff.pair import diff_frame, diff_logs
     from mapreplay.analysis.episodes.corpus import pair, read_episode
     from mapreplay.analysis.metrics.measure import measure_log
     from mapreplay.analysis.metrics.per_episode import episode_metrics
+    from mapreplay.analysis.verification import verify, verify_rerun
     from mapreplay.analysis.whatif.grid import what_if, what_if_frame
 
+
 __all__ = [
+    "branch",
+    "bundle",
     "compare",
     "comparison_frame",
+    "diagnose",
     "diff_frame",
     "diff_logs",
     "episode_metrics",
@@ -36,13 +44,18 @@ __all__ = [
     "measure_log",
     "pair",
     "read_episode",
+    "verify",
+    "verify_rerun",
     "what_if",
     "what_if_frame",
 ]
 
 _HOMES = {
+    "branch": "branching",
+    "bundle": "bundling",
     "compare": "comparison.compare",
     "comparison_frame": "comparison.compare",
+    "diagnose": "diagnosis.diagnosis",
     "diff_frame": "diff.pair",
     "diff_logs": "diff.pair",
     "episode_metrics": "metrics.per_episode",
@@ -51,6 +64,8 @@ _HOMES = {
     "measure_log": "metrics.measure",
     "pair": "episodes.corpus",
     "read_episode": "episodes.corpus",
+    "verify": "verification",
+    "verify_rerun": "verification",
     "what_if": "whatif.grid",
     "what_if_frame": "whatif.grid",
 }

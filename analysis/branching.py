@@ -176,7 +176,7 @@ class BranchedEpisode:
         yield from run_episode(self.episode, self.past)
 
 
-def prepare_branch(
+def branch(
     log: EpisodeLog,
     at: int,
     changes: Sequence[str],

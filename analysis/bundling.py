@@ -50,7 +50,7 @@ class Bundle:
     """Whether that is all of them."""
 
 
-def make_bundle(log: EpisodeLog, until: int | None = None) -> Bundle:
+def bundle(log: EpisodeLog, until: int | None = None) -> Bundle:
     """Pack a log, or its steps up to `until`, with its diagnosis.
 
     A part of a log starts where the log does, so that it can be read, verified and run on from

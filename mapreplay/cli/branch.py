@@ -43,13 +43,13 @@ def branch(
     """
     import polars as pl
 
-    from mapreplay.analysis.branching import branch_path, prepare_branch
+    from mapreplay.analysis.branching import branch, branch_path
     from mapreplay.analysis.episodes.summary import brief, episode_frame, episode_row
     from mapreplay.cli.progress import progress_bar
     from mapreplay.recorders.log.writer import EpisodeWriter
 
     opened = open_log(log)
-    branched = prepare_branch(opened, at, change, device, weights=predictor or [])
+    branched = branch(opened, at, change, device, weights=predictor or [])
     path = out or branch_path(opened.path, branched.header)
     budget = branched.header.max_steps
     with (

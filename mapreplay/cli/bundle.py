@@ -31,7 +31,7 @@ def bundle(
     A manifest has the hash of every file; the same log gives the same bytes. With --until the
     bundle has the steps from 0 up to that one, so that it can be verified like every log.
     """
-    from mapreplay.analysis.bundling import make_bundle
+    from mapreplay.analysis.bundling import bundle
 
     opened = open_log(log)
     name = opened.path.name.removesuffix(".part").removesuffix(".mcap")
@@ -39,7 +39,7 @@ def bundle(
     if path.suffix != ".zip":
         raise UsageError(f"-o {path}: a bundle's name ends in .zip")
     check_outputs(path, force=force)
-    made = make_bundle(opened, until)
+    made = bundle(opened, until)
     write_whole(path, made.data, force=force)
     part = "" if made.whole else " (a part of the log)"
     note(f"written: {path}, {len(made.data) / 1000:.0f} kB, {made.steps} steps{part}")

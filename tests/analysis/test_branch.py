@@ -13,10 +13,10 @@ from fakes import FixedPredictor
 from mapreplay.analysis.branching import (
     BranchedEpisode,
     SetRight,
+    branch,
     branch_path,
     lineage,
     past_at,
-    prepare_branch,
 )
 from mapreplay.analysis.metrics.measure import measure_log
 from mapreplay.analysis.verification import verify, verify_rerun
@@ -69,17 +69,17 @@ def written(branched: BranchedEpisode, path: Path) -> EpisodeLog:
     return EpisodeLog(path)
 
 
-def branch(
+def branched_log(
     log: EpisodeLog, at: int, *changes: str, to: Path, predictor: Predictor | None = None
 ) -> EpisodeLog:
-    return written(prepare_branch(log, at, changes, predictor=predictor), to)
+    return written(branch(log, at, changes, predictor=predictor), to)
 
 
 def test_a_closed_door_opens_when_the_prediction_is_set_right(
     sealed: EpisodeLog, tmp_path: Path
 ) -> None:
     assert (sealed.outcome, len(sealed)) == (Outcome.SEALED_IN, 1)
-    log = branch(sealed, -1, "truth", to=tmp_path / "x.mcap", predictor=closed_door())
+    log = branched_log(sealed, -1, "truth", to=tmp_path / "x.mcap", predictor=closed_door())
     assert log.outcome is Outcome.MAPPED
     assert log[0].fused[DOOR] == 0
     assert log.header.predictor.name == "fixed set right"
@@ -87,7 +87,7 @@ def test_a_closed_door_opens_when_the_prediction_is_set_right(
 
 
 def test_the_fail_safe_gets_out(sealed: EpisodeLog, tmp_path: Path) -> None:
-    log = branch(sealed, 0, "fail-safe=on", to=tmp_path / "x.mcap", predictor=closed_door())
+    log = branched_log(sealed, 0, "fail-safe=on", to=tmp_path / "x.mcap", predictor=closed_door())
     assert log.outcome is Outcome.MAPPED
     assert verify(log).agrees
 
@@ -95,7 +95,7 @@ def test_the_fail_safe_gets_out(sealed: EpisodeLog, tmp_path: Path) -> None:
 def test_without_predictions_only_what_was_observed_counts(
     sealed: EpisodeLog, tmp_path: Path
 ) -> None:
-    log = branch(sealed, 0, "observed", to=tmp_path / "x.mcap")
+    log = branched_log(sealed, 0, "observed", to=tmp_path / "x.mcap")
     assert log.outcome is Outcome.MAPPED
     assert all(step.p_wall is None for step in log)
 
@@ -108,7 +108,7 @@ def parent(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
 @pytest.fixture(scope="module")
 def child(parent: Recorded, tmp_path_factory: pytest.TempPathFactory) -> EpisodeLog:
     path = tmp_path_factory.mktemp("child") / "child.mcap"
-    return branch(EpisodeLog(parent.path), K, "planner=nearest", to=path)
+    return branched_log(EpisodeLog(parent.path), K, "planner=nearest", to=path)
 
 
 def test_the_steps_before_are_the_parents(parent: Recorded, child: EpisodeLog) -> None:
@@ -153,17 +153,17 @@ def test_a_branch_that_says_a_wrong_step_is_found(child: EpisodeLog, tmp_path: P
 
 
 def test_branches_of_branches(child: EpisodeLog, tmp_path: Path) -> None:
-    log = branch(child, K + 9, "planner=random", "seed=8", to=tmp_path / "x.mcap")
+    log = branched_log(child, K + 9, "planner=random", "seed=8", to=tmp_path / "x.mcap")
     assert [part.config.planner for part in lineage(log.header)] == ["random", "nearest", "random"]
     assert verify(log).agrees
     assert verify_rerun(log).agrees
-    early = branch(child, 5, "planner=nearest", to=tmp_path / "y.mcap")
+    early = branched_log(child, 5, "planner=nearest", to=tmp_path / "y.mcap")
     assert [part.config.planner for part in lineage(early.header)] == ["random", "nearest"]
     assert verify_rerun(early).agrees
 
 
 def test_the_metadata_comes_back(child: EpisodeLog, tmp_path: Path) -> None:
-    log = branch(child, -2, "max-steps=50", to=tmp_path / "x.mcap")
+    log = branched_log(child, -2, "max-steps=50", to=tmp_path / "x.mcap")
     pairs = episode_pairs(log.header)
     assert episode_pairs(header_of(pairs, log.header.floor_plan)) == pairs
 
@@ -200,23 +200,23 @@ def test_set_right_is_as_sure_and_never_wrong() -> None:
 )
 def test_bad_changes_are_named(parent: Recorded, changes: tuple[str, ...], said: str) -> None:
     with pytest.raises(UsageError, match=said.replace("(", r"\(")):
-        prepare_branch(EpisodeLog(parent.path), K, changes)
+        branch(EpisodeLog(parent.path), K, changes)
 
 
 def test_values_out_of_range_are_named(parent: Recorded) -> None:
     with pytest.raises(ConfigError, match=r"delta_occupied = 1\.5"):
-        prepare_branch(EpisodeLog(parent.path), K, ["delta-occupied=1.5"])
+        branch(EpisodeLog(parent.path), K, ["delta-occupied=1.5"])
 
 
 def test_a_step_that_is_not_there(parent: Recorded) -> None:
     with pytest.raises(UsageError, match="has steps 0 to"):
-        prepare_branch(EpisodeLog(parent.path), 10_000, ["truth"])
+        branch(EpisodeLog(parent.path), 10_000, ["truth"])
 
 
 def test_other_weights_are_refused(sealed: EpisodeLog) -> None:
     other = replace(BlurPredictor().identity, name="fixed")
     with pytest.raises(UsageError, match="recorded with other weights of fixed"):
-        prepare_branch(sealed, 0, ["fail-safe=on"], predictor=BlurPredictor(other))
+        branch(sealed, 0, ["fail-safe=on"], predictor=BlurPredictor(other))
 
 
 def test_a_branch_that_makes_no_sense_is_damage(child: EpisodeLog) -> None:

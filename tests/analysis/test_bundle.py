@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from mapreplay.analysis.bundling import LOG_NAME, make_bundle
+from mapreplay.analysis.bundling import LOG_NAME, bundle
 from mapreplay.analysis.verification import verify
 from mapreplay.errors import UsageError
 from mapreplay.recorders.log.reader import EpisodeLog
@@ -27,8 +27,8 @@ def opened(data: bytes) -> zipfile.ZipFile:
 
 def test_it_holds_what_its_manifest_says() -> None:
     log = EpisodeLog(SEALED)
-    made = make_bundle(log)
-    assert make_bundle(log).data == made.data
+    made = bundle(log)
+    assert bundle(log).data == made.data
     assert (made.steps, made.whole) == (len(log), True)
     assert len(made.data) < 2_000_000
     with opened(made.data) as archive:
@@ -50,7 +50,7 @@ def test_it_holds_what_its_manifest_says() -> None:
 
 def test_a_part_is_a_log_of_its_own(tmp_path: Path) -> None:
     log = EpisodeLog(SEALED)
-    made = make_bundle(log, until=5)
+    made = bundle(log, until=5)
     assert (made.steps, made.whole) == (6, False)
     with opened(made.data) as archive:
         archive.extract(LOG_NAME, tmp_path)
@@ -58,4 +58,4 @@ def test_a_part_is_a_log_of_its_own(tmp_path: Path) -> None:
     assert (len(part), part.finished) == (6, False)
     assert verify(part).agrees
     with pytest.raises(UsageError, match="--until 99"):
-        make_bundle(log, until=99)
+        bundle(log, until=99)

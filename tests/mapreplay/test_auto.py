@@ -13,7 +13,7 @@ from hypothesis.extra import numpy as hnp
 
 from drawing import draw, plan
 from fakes import ConstantPredictor
-from mapreplay.analysis.branching import prepare_branch
+from mapreplay.analysis.branching import branch
 from mapreplay.analysis.verification import verify, verify_rerun
 from mapreplay.config import EpisodeConfig, MapKind
 from mapreplay.episode import Episode, prepare_episode, record, run_episode
@@ -291,13 +291,13 @@ def test_an_episode_with_auto_proves_true_and_branches(tmp_path: Path) -> None:
     assert told[0] == UNSURE  # by its first scan no plan is known
     assert f"{PREDICTOR_OF[PlanKind.D1]} predicts" in told.values()
     # A branch goes on with what was chosen before it, and says only what is new.
-    branch = prepare_branch(log, 50, ["fail-safe=off"])
-    tail = [step for step in branch.steps() if step.index >= 50]
+    unsafe = branch(log, 50, ["fail-safe=off"])
+    tail = [step for step in unsafe.steps() if step.index >= 50]
     assert choices({step.index: step.events for step in tail}) == {
         index: text for index, text in told.items() if index >= 50
     }
     last = told[max(index for index in told if index <= 50)]
-    right = prepare_branch(log, 50, ["truth"])
+    right = branch(log, 50, ["truth"])
     assert choice_of(right.episode.predictor, log[50].observed) == last
 
 

@@ -1,7 +1,10 @@
 """The package as a whole: its face, and the direction in which its parts depend."""
 
 import ast
+import inspect
+from importlib.metadata import version
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -25,6 +28,20 @@ def test_every_public_name_of_the_analysis_is_there() -> None:
         assert getattr(analysis, name).__name__ == name
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         analysis.nothing  # noqa: B018
+
+
+@pytest.mark.parametrize("package", [mapreplay, analysis], ids=lambda package: package.__name__)
+def test_every_public_name_is_documented(package: ModuleType) -> None:
+    named = [getattr(package, name) for name in package.__all__ if name != "__version__"]
+    for thing in named:
+        words = inspect.getdoc(thing) or ""
+        assert len(words) > 20, f"{thing} has no docstring"
+        if inspect.isfunction(thing) and len(inspect.signature(thing).parameters) > 2:
+            assert "Args:" in words or "`" in words, f"{thing} does not say what it takes"
+
+
+def test_the_version_is_that_of_the_distribution() -> None:
+    assert mapreplay.__version__ == version("mapreplay")
 
 
 def imports(path: Path) -> set[str]:
