@@ -85,6 +85,11 @@ def what_if(
 ) -> WhatIf:
     """Fuse every step of a log again with every pair of thresholds.
 
+    Args:
+        log: With predictions; read once.
+        delta_free: Confidence thresholds of free cells, each in (0, 1], without repetitions.
+        delta_occupied: Those of occupied cells, likewise.
+
     Raises:
         UsageError: a threshold is not in (0, 1], or is repeated.
         LogError: the log cannot be read, or has no prediction.
