@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import stat
 import sys
 import tempfile
 from contextlib import suppress
@@ -22,6 +21,8 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import BinaryIO, Final
+
+from mapreplay.files import open_regular
 
 MAX_BYTES: Final = 1 << 30
 """Of a cache; beyond, what was not used for longest is removed."""
@@ -47,9 +48,8 @@ class Cache:
         if self.folder is None:
             return None
         try:
-            with open(_place(self.folder, key), "rb", opener=_open_at_once) as file:
-                status = os.fstat(file.fileno())
-                if not stat.S_ISREG(status.st_mode) or status.st_size > self.limit:
+            with open_regular(_place(self.folder, key)) as file:
+                if os.fstat(file.fileno()).st_size > self.limit:
                     return None
                 data = file.read(self.limit + 1)
                 _mark_used(file)
@@ -173,11 +173,6 @@ def _seal(key: str, content: bytes) -> bytes:
     digest = hashlib.sha256(_FORMAT + key.encode() + b"\0")
     digest.update(content)
     return digest.digest()
-
-
-def _open_at_once(path: str, flags: int) -> int:
-    """Not even a named pipe that lies there is waited for."""
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def _mark_used(file: BinaryIO) -> None:

@@ -8,6 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
+from mapreplay.files import open_regular
+
 if sys.platform == "win32":
 
     def lock(file: BinaryIO) -> bool:  # noqa: ARG001
@@ -40,7 +42,7 @@ else:
 
 def is_locked(path: Path) -> bool:
     """Whether somebody writes the file at `path` now; False where that cannot be known."""
-    with suppress(OSError), path.open("rb") as file:
+    with suppress(OSError), open_regular(path) as file:
         return not lock(file)
     return False
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, BinaryIO, Final, TypeAlias, TypeVar
 from mcap.opcode import Opcode
 
 from mapreplay.errors import LogError, MapreplayError
+from mapreplay.files import open_regular
 from mapreplay.grid import Grid, Quantized
 from mapreplay.identify import identify_file
 from mapreplay.recorders.log import step_table as table
@@ -254,9 +255,12 @@ class EpisodeLog:
 
         Raises:
             IndexError: there is no such step.
-            LogError: the step is missing, or the file is damaged or can no longer be read.
+            LogError: the step is missing, as all are in a log that was cut off before the first, or
+                the file is damaged or can no longer be read.
         """
         k = index + self.last + 1 if index < 0 else index
+        if not self._numbers:
+            raise LogError(f"{self.path}: {self.state}")
         if not 0 <= k <= self.last:
             raise IndexError(f"step {index} of {self.last + 1}")
         self.check_step(k)
@@ -413,7 +417,7 @@ class EpisodeLog:
     def _reading(self) -> Iterator[BinaryIO]:
         """The open file; whatever is wrong with it becomes a LogError that names it."""
         try:
-            with whereabouts(self.path).open("rb") as file:
+            with open_regular(whereabouts(self.path)) as file:
                 yield file
         except MapreplayError as error:
             told = str(error)
