@@ -13,13 +13,13 @@ from __future__ import annotations
 
 import hashlib
 import os
-import stat
 import tempfile
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Final
 
+from mapreplay.files import open_regular
 from mapreplay.source_digest import code_digest
 
 MAX_BYTES: Final = 1 << 30
@@ -42,9 +42,8 @@ class Cache:
         if self.folder is None:
             return None
         try:
-            with open(_place(self.folder, key), "rb", opener=_open_at_once) as file:
-                status = os.fstat(file.fileno())
-                if not stat.S_ISREG(status.st_mode) or status.st_size > self.limit:
+            with open_regular(_place(self.folder, key)) as file:
+                if os.fstat(file.fileno()).st_size > self.limit:
                     return None
                 data = file.read(self.limit + 1)
                 _mark_used(file)
@@ -141,11 +140,6 @@ def _seal(key: str, content: bytes) -> bytes:
     digest = hashlib.sha256(_FORMAT + key.encode() + b"\0")
     digest.update(content)
     return digest.digest()
-
-
-def _open_at_once(path: str, flags: int) -> int:
-    """Not even a named pipe that lies there is waited for."""
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def _mark_used(file: BinaryIO) -> None:

@@ -1,4 +1,4 @@
-"""Writing files whole or not at all: one way, one wording.
+"""Writing files whole or not at all: one way, one wording; and opening regular files only.
 
 A file is made under another name in the same folder and takes its own name when it is complete, so
 that an error, a full disk or a kill leaves what was there before. A link is never written through,
@@ -7,13 +7,14 @@ and nothing but a regular file is ever replaced.
 
 from __future__ import annotations
 
+import errno
 import os
 import secrets
 import stat
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Final
+from typing import BinaryIO, Final
 
 from mapreplay.errors import ExistsError, WriteError
 
@@ -125,3 +126,20 @@ def make_folder(path: Path) -> None:
 def cannot_write(path: Path, error: OSError | ValueError) -> WriteError:
     """The message for a failed write to `path`: its name and the system's reason."""
     return WriteError(f"{path}: cannot be written ({getattr(error, 'strerror', None) or error})")
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """Open a regular file to be read; a named pipe or a device is refused, and not waited for.
+
+    Raises:
+        OSError: it is not one, or it cannot be read.
+    """
+    file = open(path, "rb", opener=_open_at_once)  # noqa: SIM115 (Path has no opener)
+    if stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        return file
+    file.close()
+    raise OSError(errno.EINVAL, "not a regular file", str(path))
+
+
+def _open_at_once(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))

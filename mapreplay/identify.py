@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
+from mapreplay.files import open_regular
+
 SAFETENSORS: Final = "a safetensors file (weights)"
 
 _HEAD_BYTES: Final = 512
@@ -19,7 +21,12 @@ _STARTS: Final[tuple[tuple[bytes, str], ...]] = (
     (b"SQLite format 3\x00", "a SQLite database (a ROS 2 bag, .db3?)"),
     (b"#ROSBAG V", "a ROS 1 bag"),
     (b"\x89MCAP0\r\n", "an MCAP file (a log or a ROS 2 bag; see mapreplay ls)"),
+    (b"\x89MCAP0\n", "an MCAP file that was changed when it was copied as text; copy it as binary"),
     (b"\x89PNG\r\n\x1a\n", "a PNG image"),
+    (
+        b"\x89PNG\n\x1a\n",
+        "a PNG image that was changed when it was copied as text; copy it as binary",
+    ),
     (b"\xff\xd8\xff", "a JPEG image; convert it to PNG"),
     (b"GIF87a", "a GIF image; convert it to PNG"),
     (b"GIF89a", "a GIF image; convert it to PNG"),
@@ -112,7 +119,7 @@ def _text(head: bytes) -> str | None:
 def identify_file(path: Path) -> str | None:
     """`identify` of the file at `path`; None if it cannot be read."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             return identify(file.read(_HEAD_BYTES))
     except (OSError, ValueError):
         return None

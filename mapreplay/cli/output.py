@@ -128,7 +128,7 @@ def _sink_parquet(parts: Sequence[pl.LazyFrame], file: IO[bytes], where: str) ->
     try:
         pl.concat(parts).sink_parquet(file)
     except pl.exceptions.ComputeError as error:  # also of a full disk
-        raise WriteError(f"{where}: cannot be written ({one_line(error)})") from None
+        raise WriteError(f"{where}: cannot be written (a full disk? {one_line(error)})") from None
 
 
 def check_outputs(*paths: Path | None, force: bool) -> None:

@@ -6,13 +6,13 @@ from __future__ import annotations
 
 import glob
 import os
-import stat
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
 from mapreplay.errors import LogError
+from mapreplay.files import open_regular
 from mapreplay.identify import identify_file
 
 SUFFIXES: Final = (".mcap", ".mcap.part")
@@ -94,7 +94,7 @@ def _is_same(a: Path, b: Path) -> bool:
     with suppress(OSError):
         if a.samefile(b):
             return True
-        with a.open("rb") as one, b.open("rb") as other:
+        with open_regular(a) as one, open_regular(b) as other:
             while block := one.read(_BLOCK):
                 if block != other.read(_BLOCK):
                     return False
@@ -178,21 +178,13 @@ def _listed(folder: Path) -> set[Path]:
                         continue
                     if entry.is_dir(follow_symlinks=False):
                         waiting.append(at / entry.name)
-                    elif entry.name.endswith(SUFFIXES) and _may_be_file(at / entry.name):
+                    elif entry.name.endswith(SUFFIXES) and not _is_folder(at / entry.name):
                         found.add(at / entry.name)
         except FileNotFoundError:  # removed meanwhile
             continue
         except OSError:  # whoever opens it is told
             found.add(at)
     return found
-
-
-def _may_be_file(path: Path) -> bool:
-    """Whether it is a file, or a link of which the target is not known."""
-    try:
-        return stat.S_ISREG(path.stat().st_mode)
-    except OSError:
-        return True
 
 
 def _bag_in(path: Path) -> str:

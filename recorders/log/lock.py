@@ -8,6 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
+from mapreplay.files import open_regular
+
 
 def lock(file: BinaryIO) -> bool:
     """Lock `file` until it is closed; False if another writer has it.
@@ -36,7 +38,7 @@ def move(file: BinaryIO, source: Path, target: Path) -> None:
 
 def is_locked(path: Path) -> bool:
     """Whether somebody writes the file at `path` now; False where that cannot be known."""
-    with suppress(OSError), path.open("rb") as file:
+    with suppress(OSError), open_regular(path) as file:
         return not lock(file)
     return False
 

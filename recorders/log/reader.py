@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple, TypeAlias, TypeVa
 from mcap.opcode import Opcode
 
 from mapreplay.errors import LogError, MapreplayError
+from mapreplay.files import open_regular
 from mapreplay.grid import Grid, Quantized
 from mapreplay.identify import identify_file
 from mapreplay.recorders.log import step_table
@@ -305,7 +306,8 @@ class EpisodeLog:
 
         Raises:
             IndexError: there is no such step.
-            LogError: the step is missing, or the file is damaged or can no longer be read.
+            LogError: the step is missing, as all are in a log that was cut off before the first, or
+                the file is damaged or can no longer be read.
         """
         if isinstance(index, slice):
             numbers = range(self.last + 1)[index]
@@ -313,6 +315,8 @@ class EpisodeLog:
             steps = [self._step(k) for k in sorted(numbers) if k in there]
             return steps if numbers.step > 0 else steps[::-1]
         k = index + self.last + 1 if index < 0 else index
+        if not self._numbers:
+            raise LogError(f"{self.path}: {self.state}")
         if not 0 <= k <= self.last:
             raise IndexError(f"step {index} of {self.last + 1}")
         self.check_step(k)
@@ -481,7 +485,7 @@ class EpisodeLog:
     @contextmanager
     def _reading(self) -> Iterator[BinaryIO]:
         """The open file."""
-        with self._blaming(), whereabouts(self.path).open("rb") as file:
+        with self._blaming(), open_regular(whereabouts(self.path)) as file:
             yield file
 
     @contextmanager

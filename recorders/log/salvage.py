@@ -66,7 +66,8 @@ class SalvagedLog(EpisodeLog):
                 try:
                     step = decode_step(messages, index, self.header)
                 except (*DAMAGE, MapreplayError) as error:
-                    self.damages.append(f"step {index}: {reason_of(error)}")
+                    reason = reason_of(error).removeprefix(f"step {index}: ")
+                    self.damages.append(f"step {index}: {reason}")
                     continue
                 yield step
 
@@ -97,7 +98,9 @@ class SalvagedLog(EpisodeLog):
 
     def _without_truth(self) -> LogError:
         if self.damages:
-            return LogError("its true map is damaged; nothing can be saved without it")
+            return LogError(
+                f"its true map cannot be read ({self.damages[0]}); nothing can be saved without it"
+            )
         return super()._without_truth()
 
     def _damaged(self, reason: str) -> str:

@@ -92,6 +92,8 @@ def save_mp4(path: Path, film: Film, every: int = 1, *, force: bool = False) -> 
         if not writer.isOpened():
             raise LogError(f"{path}: OpenCV cannot write MP4 here; use --gif")
         written = 0
+        # Of a full disk it would say so for every frame; see below.
+        level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         try:
             last: Picture = first
             for frame in chain([first], frames):
@@ -103,6 +105,7 @@ def save_mp4(path: Path, film: Film, every: int = 1, *, force: bool = False) -> 
                 written += 1
         finally:
             writer.release()
+            cv2.utils.logging.setLogLevel(level)
         if _frames_in(draft) != written:  # the writer does not report a full disk
             raise WriteError(f"{path}: cannot be written (no more than a part of it; a full disk?)")
 

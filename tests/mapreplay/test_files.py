@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from mapreplay.errors import ExistsError, WriteError
-from mapreplay.files import check_new, make_folder, whole_path, write_whole
+from mapreplay.files import check_new, make_folder, open_regular, whole_path, write_whole
 
 
 def _names(folder: Path) -> list[str]:
@@ -124,3 +125,9 @@ def test_a_folder_that_cannot_be_written_to_is_found_before_any_work(tmp_path: P
     with pytest.raises(WriteError, match="cannot be written"), whole_path(Path("/proc/a.csv")):
         worked = True
     assert not worked
+
+
+def test_a_named_pipe_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.mcap")
+    with pytest.raises(OSError, match="not a regular file"):
+        open_regular(tmp_path / "a.mcap")

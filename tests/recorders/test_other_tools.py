@@ -1,6 +1,7 @@
 """MCAP files of other tools: all that MCAP allows is read, and what is missing is named."""
 
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import polars as pl
@@ -113,6 +114,37 @@ def test_a_step_without_one_of_its_messages_is_missing(contents: Contents, tmp_p
     log = EpisodeLog(Tool(lose).write(contents, tmp_path / "a.mcap"))
     assert [step.index for step in log] == [k for k in range(61) if k != 33]
     assert str(log.state) == "step 33 is missing; 60 steps can be read"
+    saved = recover(log.path)
+    assert saved is not None
+    assert saved.missing == (range(33, 34),)
+
+
+def test_a_log_without_steps_says_so_when_one_is_asked_for(
+    contents: Contents, tmp_path: Path
+) -> None:
+    def only_truth(c: Contents) -> Contents:
+        truth = [m for m in c.messages if m.topic == "/map/truth"]
+        return Contents(truth, [m for m in c.metadata if m[0] == "mapreplay.episode"], [])
+
+    log = EpisodeLog(Tool(only_truth).write(contents, tmp_path / "a.mcap"))
+    with pytest.raises(LogError, match=r"a\.mcap: unfinished; 0 steps can be read"):
+        log[-1]
+
+
+def test_a_message_that_is_damaged_under_right_checksums_is_left_out(
+    contents: Contents, tmp_path: Path
+) -> None:
+    def shorten(c: Contents) -> Contents:
+        hurt = [
+            replace(m, data=m.data[:-9]) if (m.topic, m.sequence) == ("/scan", 33) else m
+            for m in c.messages
+        ]
+        return Contents(hurt, c.metadata, c.attachments)
+
+    saved = recover(Tool(shorten).write(contents, tmp_path / "a.mcap"))
+    assert saved is not None
+    assert saved.missing == (range(33, 34),)
+    assert len(list(EpisodeLog(saved.path))) == 60
 
 
 def test_two_episodes_in_one_file_are_not_mixed(

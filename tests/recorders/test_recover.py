@@ -192,7 +192,7 @@ def test_what_nothing_can_be_saved_without_is_named(blurred: Recorded, tmp_path:
     path, whole = tmp_path / "a.mcap", bytearray(blurred.path.read_bytes())
     truth = chunks_of(blurred.path)[0]
     for place, line in (
-        (truth.end - 20, "its true map is damaged; nothing can be saved without it"),
+        (truth.end - 20, r"its true map cannot be read \(.+\); nothing can be saved without it"),
         (whole.index(b'"seed":') + 7, "checksum of mapreplay.episode does not match"),
     ):
         damaged = bytearray(whole)
