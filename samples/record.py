@@ -1,7 +1,7 @@
 """Records the episodes in samples/ again, and says how they ended: run it from the repository.
 
 To be run whenever the predictor's weights or the numbers of its kernels change. How the
-episodes end is also said in samples/README.md and in tests/recorders/test_samples.py.
+episodes end is also said in samples/README.md and in tests/recorders/log/test_samples.py.
 """
 
 from __future__ import annotations

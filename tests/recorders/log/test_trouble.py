@@ -16,7 +16,7 @@ from mapreplay.recorders.log.writer import EpisodeWriter
 from recordings import Recorded
 
 NOBODY = 65534
-TESTS = str(Path(__file__).parents[1] / "helpers")
+TESTS = str(Path(__file__).parents[2] / "helpers")
 
 WRITE = """
 import sys

@@ -10,7 +10,7 @@ from mapreplay.analysis.verification import verify
 from mapreplay.recorders.log.find import find_logs
 from mapreplay.recorders.log.reader import EpisodeLog
 
-SAMPLES = Path(__file__).parents[2] / "samples"
+SAMPLES = Path(__file__).parents[3] / "samples"
 ENDS = {
     "procedural-60002__nearest__observed-observed__s1.mcap": ("mapped", 520),
     "procedural-60002__cost-utility__fused-fused__s1.mcap": ("mapped", 104),

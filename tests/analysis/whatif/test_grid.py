@@ -23,7 +23,7 @@ from mapreplay.recorders.pictures.palette import PAGE_DARK
 from mapreplay.stages import look_around
 from recordings import record, three_rooms, two_rooms
 
-SAMPLES = Path(__file__).parents[2] / "samples" / "episodes"
+SAMPLES = Path(__file__).parents[3] / "samples" / "episodes"
 SEALED = SAMPLES / "procedural-60014__cost-utility__fused-fused__s1.mcap"
 DELTAS = (0.05, 0.2, 0.4, 0.7, 1.0)
 

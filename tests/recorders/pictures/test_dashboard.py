@@ -1,5 +1,5 @@
 """The layout as a picture. To renew the golden ones after a change that is meant:
-``MAPREPLAY_RENEW=1 pytest tests/recorders/test_frame.py``, and look at them.
+``MAPREPLAY_RENEW=1 pytest tests/recorders/pictures/test_dashboard.py``, and look at them.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from mapreplay.recorders.pictures.palette import CELL_COLOURS, DARK, LIGHT, YELL
 from recordings import record, two_rooms
 
 GOLDEN = Path(__file__).parent / "golden_pictures"
-SAMPLES = Path(__file__).parents[2] / "samples" / "episodes"
+SAMPLES = Path(__file__).parents[3] / "samples" / "episodes"
 SIZE = (960, 540)
 
 

@@ -10,7 +10,7 @@ import pytest
 from mapreplay.recorders.log.schemas import typestore
 from mapreplay.recorders.log.topics import Topic
 
-LAYOUT = Path(__file__).parents[2] / "samples" / "foxglove" / "mapreplay.json"
+LAYOUT = Path(__file__).parents[3] / "samples" / "foxglove" / "mapreplay.json"
 
 
 @pytest.fixture(scope="module")

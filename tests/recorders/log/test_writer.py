@@ -96,7 +96,7 @@ for step in run_episode(episode):
     if step.index == 50:
         os.kill(os.getpid(), signal.SIGKILL)
 """
-    tests = str(Path(__file__).parents[1] / "helpers")
+    tests = str(Path(__file__).parents[2] / "helpers")
     path = tmp_path / "a.mcap"
     done = subprocess.run([sys.executable, "-c", script, tests, path], check=False, timeout=120)
     assert done.returncode == -signal.SIGKILL

@@ -8,7 +8,7 @@ from rerun import notebook
 import mapreplay
 from mapreplay.errors import LogError, MapreplayError
 
-SAMPLES = Path(__file__).parents[2] / "samples" / "episodes"
+SAMPLES = Path(__file__).parents[3] / "samples" / "episodes"
 
 
 def test_show_makes_a_widget_or_says_what_to_install() -> None:

@@ -11,7 +11,7 @@ from mapreplay.recorders.log.schemas import own_definitions
 from mapreplay.recorders.log.topics import Topic
 from recordings import Recorded
 
-PAGE = (Path(__file__).parents[2] / "docs" / "log-format.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[3] / "docs" / "log-format.md").read_text(encoding="utf-8")
 
 
 def test_the_version_is_the_current_one() -> None:

@@ -15,7 +15,7 @@ from mapreplay.step import EpisodeHeader
 from mapreplay.text import printable
 from recordings import two_rooms
 
-SAMPLES = Path(__file__).parents[2] / "samples" / "episodes"
+SAMPLES = Path(__file__).parents[3] / "samples" / "episodes"
 
 
 def like(header: EpisodeHeader, **config: object) -> EpisodeHeader:
