@@ -135,7 +135,7 @@ def sealed_thresholds(
     """sealed[i, j] = no frontier is within reach with the levels free[i] and occupied[j].
 
     See `has_way_on`. free: float64[m], not rising; occupied: float64[n], not falling: both get
-    stricter. Whoever is sealed in with one pair is so with every laxer one: a stricter bound
+    stricter. An agent that is sealed in with one pair is so with every laxer one: a stricter bound
     only makes cells unknown, and the first such cell on a way from the agent is a frontier. So
     the edge between the two is a staircase, and m + n searches find it. sealed: bool[m, n],
     written.
