@@ -2,7 +2,7 @@
 
     log = EpisodeLog(path)
     measure_log(log).steps                        # a polars frame, one row a step
-    diff_logs(log, other).cause                   # where two episodes part
+    diff_logs(log, other).cause                   # where two episodes diverge
     what_if(log, [0.9, 0.95], [0.9, 0.95]).f1     # float64[steps, 2, 2]
     compare(group_episodes(map(read_episode, paths), ["planner"]), "nearest")
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from mapreplay.analysis.comparison.compare import compare, comparison_frame
     from mapreplay.analysis.comparison.groups import group_episodes
     from mapreplay.analysis.diagnosis.diagnosis import diagnose
-    from mapreplay.analysis.diff.divergence import find_partings
+    from mapreplay.analysis.diff.divergence import find_divergences
     from mapreplay.analysis.diff.pair import diff_frame, diff_logs
     from mapreplay.analysis.episodes.corpus import pair, read_episode
     from mapreplay.analysis.metrics.measure import measure_log
@@ -39,7 +39,7 @@ __all__ = [
     "diff_frame",
     "diff_logs",
     "episode_metrics",
-    "find_partings",
+    "find_divergences",
     "group_episodes",
     "measure_log",
     "pair",
@@ -59,7 +59,7 @@ _HOMES = {
     "diff_frame": "diff.pair",
     "diff_logs": "diff.pair",
     "episode_metrics": "metrics.per_episode",
-    "find_partings": "diff.divergence",
+    "find_divergences": "diff.divergence",
     "group_episodes": "comparison.groups",
     "measure_log": "metrics.measure",
     "pair": "episodes.corpus",

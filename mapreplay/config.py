@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from mapreplay.errors import ConfigError
+from mapreplay.files import open_regular
 from mapreplay.identify import identify
 
 if TYPE_CHECKING:
@@ -249,7 +250,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         ConfigError: it cannot be read, or is not TOML.
     """
     try:
-        with path.open("rb") as file:  # of a device there would be no end
+        with open_regular(path) as file:  # nothing waits for a pipe, or reads a device for ever
             content = file.read(_MAX_CONFIG_BYTES + 1)
     except (OSError, ValueError) as error:
         raise ConfigError(

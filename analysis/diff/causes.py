@@ -1,4 +1,4 @@
-"""Why two episodes part, in words: what each of them had at the step where a layer differs."""
+"""Why two episodes diverge, in words: what each of them had at the step where a layer differs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from mapreplay import plugins
-from mapreplay.analysis.diff.divergence import Layer, Moment, Partings
+from mapreplay.analysis.diff.divergence import Divergences, Layer, Moment
 from mapreplay.analysis.diff.steps import as_text, step_differences
 from mapreplay.analysis.reporting.wording import counted
 from mapreplay.errors import MapreplayError
@@ -31,9 +31,9 @@ class Cause:
     """What each of the two had there."""
 
 
-def causes(a: EpisodeLog, b: EpisodeLog, partings: Partings) -> Iterator[Cause]:
+def causes(a: EpisodeLog, b: EpisodeLog, divergences: Divergences) -> Iterator[Cause]:
     """What each of the two had where a layer first differs, in words."""
-    for layer, moment in partings.first.items():
+    for layer, moment in divergences.first.items():
         yield Cause(layer, moment.index, _TEXTS[layer](a, b, moment))
 
 
@@ -154,8 +154,8 @@ def _end(a: EpisodeLog, b: EpisodeLog, moment: Moment) -> str:
     }
     if not ended:
         return "one of them decides nothing"
-    said = [f"{name} has ended, {outcome_name(log)}" for name, log in ended.items()]
-    return "; ".join(said) + ("; the other goes on" if len(ended) == 1 else "")
+    said = [f"{name} ended ({outcome_name(log)})" for name, log in ended.items()]
+    return "; ".join(said) + (", the other continues" if len(ended) == 1 else "")
 
 
 def _record(_a: EpisodeLog, _b: EpisodeLog, moment: Moment) -> str:
@@ -226,7 +226,7 @@ def rating(log: EpisodeLog, step: Step, before: Decision | None, cell: Cell) -> 
 
 def _steps(moment: Moment) -> tuple[Step, Step]:
     if moment.a is None or moment.b is None:
-        raise ValueError("one of the episodes has ended")
+        raise ValueError("one of the episodes ended")
     return moment.a, moment.b
 
 

@@ -1,4 +1,4 @@
-"""Where two episodes part: the first step at which each layer of them differs.
+"""Where two episodes diverge: the first step at which each layer of them differs.
 
 Layers are in causal order. What two agents observe at a step can differ only if they moved
 apart before; a prediction follows from the observation, the fused map from both, the frontier
@@ -53,7 +53,7 @@ class Moment:
     """A step of both episodes, and what they wanted just before."""
 
     a: Step | None
-    """None where A has ended."""
+    """None if A ended."""
     b: Step | None
     before_a: Decision | None
     """A's decision at the step before."""
@@ -67,11 +67,11 @@ class Moment:
 
 
 @dataclass(frozen=True, eq=False)
-class Partings:
+class Divergences:
     """The first step of each layer that differs; empty if all steps are the same bit for bit."""
 
     first: dict[Layer, Moment]
-    """In causal order within a step. Layers that had not parted when the agents did are left
+    """In causal order within a step. Layers that had not diverged when the agents did are left
     out: from there on they are in different places."""
     steps: int
     """Steps that both have."""
@@ -87,12 +87,12 @@ class Partings:
 
     @property
     def layer(self) -> Layer | None:
-        """The layer that parts first."""
+        """The layer that diverges first."""
         return next(iter(self.first), None)
 
 
-def find_partings(a: EpisodeLog, b: EpisodeLog) -> Partings:
-    """Compare two episodes on one floor plan step by step, until the agents part.
+def find_divergences(a: EpisodeLog, b: EpisodeLog) -> Divergences:
+    """Compare two episodes on one floor plan step by step, until the agents diverge.
 
     Raises:
         LogError: a log cannot be read.
@@ -114,7 +114,7 @@ def find_partings(a: EpisodeLog, b: EpisodeLog) -> Partings:
     said = [*header_differences(a.header, b.header)]
     if a.state.missing != b.state.missing:
         said.append(Said("missing steps", *(_spans(log.state.missing) for log in (a, b))))
-    return Partings(dict(order), steps, tuple(said))
+    return Divergences(dict(order), steps, tuple(said))
 
 
 def _spans(spans: Sequence[range]) -> str:

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 import polars as pl
 
-from mapreplay.analysis.diff.divergence import Layer, find_partings
+from mapreplay.analysis.diff.divergence import Layer, find_divergences
 from mapreplay.analysis.episodes.corpus import LoggedEpisode
 from mapreplay.analysis.pool import WorkerError, map_unordered
 from mapreplay.errors import MapreplayError
@@ -27,13 +27,13 @@ class PairDiff:
     floor_plan: str
     seed: int
     identical: bool
-    """Bit for bit, see `parting.Partings`."""
+    """Bit for bit, see `divergence.Divergences`."""
     step: int | None
     """The first step that differs at all; None if none does."""
     layer: str | None
     """What differs there first."""
     move_step: int | None
-    """The step at which the agents part."""
+    """The step at which the agents diverge."""
     outcome_a: str
     outcome_b: str
     time_a: int | None
@@ -98,11 +98,11 @@ class _Found(NamedTuple):
 def _found(a: EpisodeLog, b: EpisodeLog) -> _Found:
     """Where two episodes diverge; if a log has no steps, by their scalars."""
     if a.has_steps and b.has_steps:
-        partings = find_partings(a, b)
-        first, move = partings.layer, partings.first.get(Layer.MOVE)
+        divergences = find_divergences(a, b)
+        first, move = divergences.layer, divergences.first.get(Layer.MOVE)
         return _Found(
-            partings.identical,
-            partings.first[first].index if first else None,
+            divergences.identical,
+            divergences.first[first].index if first else None,
             first.value if first else None,
             move.index if move else None,
         )

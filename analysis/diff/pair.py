@@ -1,4 +1,4 @@
-"""Two episodes on one floor plan: where they part, why there, and what it led to."""
+"""Two episodes on one floor plan: where they diverge, why there, and what it led to."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 
 from mapreplay.analysis.diff.causes import Cause, causes, outcome_name
-from mapreplay.analysis.diff.divergence import find_partings
+from mapreplay.analysis.diff.divergence import find_divergences
 from mapreplay.analysis.episodes.corpus import LoggedEpisode, episode_of
 from mapreplay.analysis.episodes.curves import Curve, first_reached
 from mapreplay.errors import UsageError
@@ -47,7 +47,7 @@ class EpisodeDiff:
     headers: tuple[Said, ...]
     """What the two say otherwise of the whole episode, such as the planner."""
     causes: tuple[Cause, ...]
-    """The layers that differ, by their first step, causes first, until the agents part."""
+    """The layers that differ, by their first step, causes first, until the agents diverge."""
     outcomes: tuple[str, str]
     ends: tuple[Both, ...]
     """Steps, metres, coverages and F1, each at its own end."""
@@ -59,12 +59,12 @@ class EpisodeDiff:
 
     @property
     def cause(self) -> Cause | None:
-        """The layer that parts first; None if all steps are the same."""
+        """The layer that diverges first; None if all steps are the same."""
         return self.causes[0] if self.causes else None
 
 
 def diff_logs(a: EpisodeLog, b: EpisodeLog) -> EpisodeDiff:
-    """Where two episodes part, and what it led to.
+    """Where two episodes diverge, and what it led to.
 
     Raises:
         UsageError: they are on different floor plans.
@@ -77,14 +77,14 @@ def diff_logs(a: EpisodeLog, b: EpisodeLog) -> EpisodeDiff:
             f"{a.path} is on floor plan {plan_a.id}, {b.path} on {plan_b.id}{alike}: "
             "choose two episodes on one floor plan"
         )
-    partings = find_partings(a, b)
+    divergences = find_divergences(a, b)
     one, other = episode_of(a), episode_of(b)
-    last = partings.steps - 1
+    last = divergences.steps - 1
     return EpisodeDiff(
-        identical=partings.identical,
-        steps=partings.steps,
-        headers=partings.headers,
-        causes=tuple(causes(a, b, partings)),
+        identical=divergences.identical,
+        steps=divergences.steps,
+        headers=divergences.headers,
+        causes=tuple(causes(a, b, divergences)),
         outcomes=(outcome_name(a), outcome_name(b)),
         ends=tuple(_states(one, len(one.f1) - 1, other, len(other.f1) - 1)),
         meanwhile=tuple(_states(one, last, other, last)),

@@ -105,7 +105,7 @@ def _story(a: LoggedEpisode, b: LoggedEpisode, result: EpisodeDiff) -> _Lines:
     if cause is None:
         return [*shown, f"All {result.steps} steps are the same, bit for bit."]
     shown.append("")
-    shown.append(f"They part at step {cause.step}, in the {cause.layer}.")
+    shown.append(f"They diverge at step {cause.step}, in the {cause.layer}.")
     shown += [f"  step {c.step}, {c.layer}: {c.text}" for c in result.causes]
     shown.append(Command(view_command(a.path, b.path, result.causes[-1].step)))
     shown.append("")
@@ -190,7 +190,7 @@ def _many(
             pl.when("identical")
             .then(pl.lit("identical"))
             .otherwise(pl.col("layer").fill_null("header only"))
-            .alias("they part in"),
+            .alias("they diverge in"),
             pl.col("move_step").alias("move"),
         ),
         (

@@ -101,8 +101,7 @@ def decode_step(messages: Messages, index: int, header: EpisodeHeader) -> Step:
 
     Raises:
         LogError: a message is missing.
-        ValueError, struct.error: a message is not what its topic says, or does not fit the
-            floor plan.
+        ValueError: a message is not what its topic says, or does not fit the floor plan.
     """
     plan = header.floor_plan
     try:
@@ -132,6 +131,8 @@ def decode_step(messages: Messages, index: int, header: EpisodeHeader) -> Step:
             profile=profile,
         )
         check_scores(np.array(_scores_of(metrics))[:, None], index, plan)
+    except struct.error:
+        raise ValueError(f"step {index}: a message ends too soon") from None
     except ValueError as error:
         raise ValueError(f"step {index}: {error}") from None
     return step

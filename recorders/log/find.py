@@ -52,11 +52,15 @@ def find_each(paths: Sequence[Path]) -> list[list[Path]]:
         others = [match for match in matches if _what_else(match)]
         beside += others
         logs = {log for match in matches if match not in others for log in _logs_in(match)}
-        if not logs and not others:
+        # A folder that is called like a log is in a shell's list of logs.
+        listed = len(paths) > 1 and path.name.endswith(SUFFIXES)
+        if not logs and not others and not listed:
             raise LogError(f"{path}: no .mcap or .mcap.part file in it{_bag_in(path)}")
         found.append(sorted(logs))
-    if beside and not any(found):
-        raise LogError(f"{beside[0]}: {_what_else(beside[0])}")
+    if not any(found):
+        if beside:
+            raise LogError(f"{beside[0]}: {_what_else(beside[0])}")
+        raise LogError(f"{paths[0]}: no .mcap or .mcap.part file in it")
     return found
 
 

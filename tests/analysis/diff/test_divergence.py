@@ -10,7 +10,7 @@ import pytest
 from drawing import plan
 from mapreplay.analysis.diff import divergence
 from mapreplay.analysis.diff.causes import rating
-from mapreplay.analysis.diff.divergence import Layer, find_partings
+from mapreplay.analysis.diff.divergence import Layer, find_divergences
 from mapreplay.analysis.diff.pair import diff_frame, diff_logs, rest_of, spans_of
 from mapreplay.config import EpisodeConfig
 from mapreplay.episode import prepare_episode, run_episode
@@ -86,11 +86,11 @@ def test_a_change_in_one_layer_is_found_in_that_layer(
     if layer is Layer.END:
         steps = steps[:6]
     other = write(tmp_path / "b.mcap", base.header, steps)
-    partings = find_partings(base, other)
-    assert partings.layer is layer
-    assert partings.first[layer].index == 5
-    assert not partings.identical
-    assert partings.headers == ()
+    divergences = find_divergences(base, other)
+    assert divergences.layer is layer
+    assert divergences.first[layer].index == 5
+    assert not divergences.identical
+    assert divergences.headers == ()
     diff = diff_logs(base, other)
     assert diff.cause is not None
     assert (diff.cause.step, diff.cause.layer) == (5, layer)
@@ -101,10 +101,10 @@ def test_the_same_episode_twice_is_identical_and_one_bit_is_not(
     base: EpisodeLog, tmp_path: Path
 ) -> None:
     again = write(tmp_path / "again.mcap", base.header, list(base))
-    assert find_partings(base, again).identical
+    assert find_divergences(base, again).identical
     assert diff_logs(base, again).causes == ()
     versions = replace(base.header, versions=(("mapreplay", "9"),))
-    newer = find_partings(base, write(tmp_path / "newer.mcap", versions, list(base)))
+    newer = find_divergences(base, write(tmp_path / "newer.mcap", versions, list(base)))
     assert newer.first == {}
     assert ("version mapreplay", "9") in [(s.what, s.b) for s in newer.headers]
     assert {s.what.split()[0] for s in newer.headers} == {"version"}
@@ -115,8 +115,8 @@ def test_causes_come_in_causal_order_within_a_step(base: EpisodeLog, tmp_path: P
     steps = list(base)
     for layer in (Layer.RANKING, Layer.FUSED, Layer.OBSERVATION):
         steps[3] = CHANGES[layer](steps[3])
-    partings = find_partings(base, write(tmp_path / "b.mcap", base.header, steps))
-    assert list(partings.first) == [Layer.OBSERVATION, Layer.FUSED, Layer.RANKING]
+    divergences = find_divergences(base, write(tmp_path / "b.mcap", base.header, steps))
+    assert list(divergences.first) == [Layer.OBSERVATION, Layer.FUSED, Layer.RANKING]
 
 
 def test_who_has_a_larger_budget_goes_on(tmp_path: Path) -> None:
@@ -124,13 +124,13 @@ def test_who_has_a_larger_budget_goes_on(tmp_path: Path) -> None:
     for steps in (3, 6):
         episode = three_rooms(max_steps=steps)
         logs.append(write(tmp_path / f"{steps}.mcap", episode.header, list(run_episode(episode))))
-    partings = find_partings(*logs)
-    assert partings.layer is Layer.END
-    assert partings.first[Layer.END].index == 3
-    assert {s.what for s in partings.headers} == {"budget"}
+    divergences = find_divergences(*logs)
+    assert divergences.layer is Layer.END
+    assert divergences.first[Layer.END].index == 3
+    assert {s.what for s in divergences.headers} == {"budget"}
     cause = diff_logs(*logs).cause
     assert cause is not None
-    assert cause.text == "A has ended, out_of_steps; the other goes on"
+    assert cause.text == "A ended (out_of_steps), the other continues"
 
 
 CROSSROADS = """
@@ -244,9 +244,9 @@ def test_episodes_of_other_simulators_part_where_their_poses_do(tmp_path: Path) 
         steps = [episode.step(cell, observed) for cell in [(5, 2), (5, 3), (6, column)]]
         steps.append(episode.step((7, 3), observed, outcome="mapped"))
         logs.append(write(tmp_path / f"{name}.mcap", episode.header, steps))
-    partings = find_partings(*logs)
-    assert partings.layer is Layer.MOVE
-    assert partings.first[Layer.MOVE].index == 2
+    divergences = find_divergences(*logs)
+    assert divergences.layer is Layer.MOVE
+    assert divergences.first[Layer.MOVE].index == 2
     cause = diff_logs(*logs).cause
     assert cause is not None
     assert cause.text == "A is at (6, 3), B at (6, 4)"
