@@ -254,7 +254,7 @@ def test_metrics_agree_with_the_recording_and_take_options(cli: Run, logs: Path)
     log = sorted(logs.iterdir())[0]
     result = cli("metrics", log, "--format", "csv")
     assert result.code == 0, result.err
-    assert "31 steps agree with what was recorded, bit for bit" in result.err
+    assert "31 steps agree with the recorded metrics, bit for bit" in result.err
     rows = list(csv.DictReader(io.StringIO(result.out)))
     assert [int(row["step"]) for row in rows] == list(range(31))
     strict = cli("metrics", log, "--format", "csv", "--unknown-as", "occupied", "--metric",
