@@ -94,11 +94,8 @@ def compare(
         raise UsageError(f"--plot {plot}: should end in .png or .svg")
     from mapreplay.analysis.comparison import compare as of
     from mapreplay.analysis.comparison.groups import group_episodes
-    from mapreplay.analysis.pool import default_jobs
-    from mapreplay.recorders.log.find import find_logs
 
-    jobs = default_jobs(len(find_logs(paths)) // 8)  # a log takes a few milliseconds
-    episodes, unreadable = read_episodes(paths, where, jobs)
+    episodes, unreadable = read_episodes(paths, where, parallel=True)
     if not episodes:
         return
     grouping = group_episodes(episodes, by or ["planner"])

@@ -96,14 +96,15 @@ def _story(a: LoggedEpisode, b: LoggedEpisode, result: EpisodeDiff) -> _Lines:
     from mapreplay.analysis.diff.folders import view_command
 
     shown: _Lines = [f"A: {a.path}", f"B: {b.path}"]
+    compared = len({*a.log.indices} & {*b.log.indices})
     if result.identical:
-        return [*shown, f"identical: {result.steps} steps, bit for bit"]
+        return [*shown, f"identical: {compared} steps, bit for bit"]
     if result.headers:
         said = ", ".join(f"{s.what} {s.a} | {s.b}" for s in result.headers)
         shown.append(f"A | B: {said}")
     cause = result.cause
     if cause is None:
-        return [*shown, f"All {result.steps} steps are the same, bit for bit."]
+        return [*shown, f"All {compared} steps are the same, bit for bit."]
     shown.append("")
     shown.append(f"They diverge at step {cause.step}, in the {cause.layer}.")
     shown += [f"  step {c.step}, {c.layer}: {c.text}" for c in result.causes]

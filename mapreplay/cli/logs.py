@@ -49,10 +49,15 @@ def choose(paths: list[Path], where: list[str] | None) -> tuple[list[EpisodeRow]
 
 
 def read_episodes(
-    paths: list[Path], where: list[str] | None, jobs: int = 1
+    paths: list[Path], where: list[str] | None, *, parallel: bool = False
 ) -> tuple[list[LoggedEpisode], int]:
     """The episodes at `paths` that satisfy all conditions, in order, and the number of files that
     are unreadable or incomplete; these are reported on stderr.
+
+    Args:
+        paths: Logs, folders and patterns.
+        where: The conditions.
+        parallel: Read many logs in several processes.
 
     Raises:
         LogError: there is no log, or none can be read.
@@ -62,8 +67,10 @@ def read_episodes(
     logs = find_logs(paths)  # before the slow imports
     from mapreplay.analysis.episodes.corpus import LoggedEpisode, read_corpus
     from mapreplay.analysis.episodes.summary import Condition
+    from mapreplay.analysis.pool import default_jobs
     from mapreplay.cli.progress import progress_bar
 
+    jobs = default_jobs(len(logs) // LOGS_A_PIECE) if parallel else 1
     conditions = [Condition.parse(text) for text in where or []]
     episodes, unreadable = [], []
     with progress_bar() as bar:
@@ -87,6 +94,8 @@ def read_episodes(
     return chosen, len(unreadable) + tell_states({e.path: e.state for e in chosen})
 
 
+LOGS_A_PIECE: Final = 8
+"""Logs that are one piece of work for `default_jobs`: a log takes a few milliseconds."""
 SHOWN: Final = 10
 """Maximum number of incomplete or duplicate logs that are named."""
 

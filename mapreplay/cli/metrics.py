@@ -121,7 +121,8 @@ def metrics(
     if not where:  # otherwise it was said when they were chosen
         tell_same([log.log for log in measured])
         lost += tell_states({log.log: log.state for log in measured})
-    _tell(episodes, scope, 0 if no_cache or further else _known_before(measured))
+    read = sum(log.state.steps for log in measured)
+    _tell(episodes, scope, read, 0 if no_cache or further else _known_before(measured))
     if unreadable or lost:
         raise typer.Exit(LOST)
 
@@ -202,14 +203,13 @@ def _brief(episodes: pl.DataFrame, further: list[str]) -> pl.DataFrame:
     return pl.concat([frame, numbers], how="horizontal")
 
 
-def _tell(episodes: pl.DataFrame, scope: Scope, known: int) -> None:
+def _tell(episodes: pl.DataFrame, scope: Scope, steps: int, known: int) -> None:
     """Report whether the metrics agree with the recorded ones."""
     wrong = episodes.filter(episodes["disagreements"] > 0)
     if len(wrong):
         file, first = wrong.select("file", "first_disagreement").row(0)
         raise LogError(f"{file}: {first} ({wrong['disagreements'].sum()} values disagree)")
     if scope.as_recorded:
-        steps = int(episodes["steps"].sum()) + len(episodes)
         note(f"{steps} steps agree with the recorded metrics, bit for bit")
     if known:
         note(f"{known} of {len(episodes)} episodes were unchanged and taken from the cache")

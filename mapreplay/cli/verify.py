@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mapreplay.cli.logs import PathsArgument, WeightsOption, WhereOption, tell_states
+from mapreplay.cli.logs import PathsArgument, WeightsOption, WhereOption, tell_same, tell_states
 from mapreplay.cli.output import (
     LOST,
     ForceOption,
@@ -91,6 +91,7 @@ def verify(
         raise MapreplayError(problems[0])
     for problem in problems:
         note(f"not verified: {problem}")
+    tell_same(list(states))
     lost = tell_states(states)
     frame = _frame(results)
     emit(frame, "mapreplay.verify/1", form, output, text=_brief(results), force=force)

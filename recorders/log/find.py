@@ -37,7 +37,27 @@ def find_logs(paths: Sequence[Path]) -> list[Path]:
     Raises:
         LogError: a path does not exist, there is no log in it, or there are no logs at all.
     """
-    return sorted({log for logs in find_each(paths) for log in logs})
+    return _once({log for logs in find_each(paths) for log in logs})
+
+
+def _once(logs: set[Path]) -> list[Path]:
+    """Sorted, without those that were found a second time, through a link to a folder."""
+    folders = {folder: Path(os.path.realpath(folder)) for folder in {log.parent for log in logs}}
+    by_place: dict[Path, list[Path]] = {}
+    for log in sorted(logs):
+        by_place.setdefault(folders[log.parent] / log.name, []).append(log)
+    kept = list[Path]()
+    for names in by_place.values():
+        links = [sum(map(_is_link, log.parents)) if len(names) > 1 else 0 for log in names]
+        kept += [log for log, count in zip(names, links, strict=True) if count == min(links)]
+    return sorted(kept)
+
+
+def _is_link(path: Path) -> bool:
+    try:
+        return path.is_symlink()
+    except OSError:
+        return False
 
 
 def find_each(paths: Sequence[Path]) -> list[list[Path]]:
