@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from mapreplay.files import open_regular
+from mapreplay.files.whole import open_regular
 from mapreplay.source_digest import code_digest
 
 MAX_BYTES: Final = 1 << 30

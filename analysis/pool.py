@@ -9,7 +9,7 @@ from functools import partial
 from typing import Final, TypeVar
 
 from mapreplay.errors import MapreplayError
-from mapreplay.workers import Died, Said, once, run_each
+from mapreplay.processes.workers import Died, Said, once, run_each
 
 _T = TypeVar("_T")
 _R = TypeVar("_R")

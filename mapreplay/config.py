@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from mapreplay.errors import ConfigError
-from mapreplay.files import open_regular
-from mapreplay.identify import identify
+from mapreplay.files.identify import identify
+from mapreplay.files.whole import open_regular
 
 if TYPE_CHECKING:
     from mapreplay.grid import Cell

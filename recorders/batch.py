@@ -14,9 +14,9 @@ from mapreplay.episode import prepare_episode, recorded
 from mapreplay.errors import MapreplayError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.predictors import kept_predictor
+from mapreplay.processes.workers import Died, Said, run_each
 from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.step import log_name
-from mapreplay.workers import Died, Said, run_each
 
 REPORT_SECONDS: Final = 0.1
 

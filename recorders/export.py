@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mapreplay.errors import LogError
-from mapreplay.files import check_new, make_folder, whole_path, write_whole
+from mapreplay.files.whole import check_new, make_folder, whole_path, write_whole
 from mapreplay.grid import FREE, OCCUPIED, Grid, Quantized
 from mapreplay.mapping import dequantize
 from mapreplay.pictures import png_of

@@ -22,12 +22,12 @@ from mapreplay.errors import MapreplayError, UsageError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.floorplans import open_source
 from mapreplay.predictors import Predictor
+from mapreplay.processes.workers import Program
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.recorders.pictures.replay import Replay
 from mapreplay.recorders.viewer.recording import save_rrd
 from mapreplay.recorders.viewer.servers import viewer_program
-from mapreplay.workers import Program
 
 _SMALLEST: Final = 64
 """Cells per side of a procedural floor plan."""

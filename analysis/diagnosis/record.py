@@ -14,7 +14,7 @@ from mapreplay.analysis.diagnosis.blame import Blame
 from mapreplay.analysis.diagnosis.diagnosis import Diagnosis, Sealing
 from mapreplay.analysis.diagnosis.reliability import Reliability
 from mapreplay.errors import ExistsError
-from mapreplay.files import cannot_write, check_new, write_whole
+from mapreplay.files.whole import cannot_write, check_new, write_whole
 from mapreplay.step import Cells
 
 SCHEMA: Final = "mapreplay.diagnosis/1"

@@ -22,7 +22,7 @@ from mapreplay.analysis.metrics.calibration import PredictionCounts, count_cells
 from mapreplay.config import EpisodeConfig, MapKind, PredictionDtype
 from mapreplay.episode import prepare_episode, run_episode
 from mapreplay.errors import MapreplayError
-from mapreplay.files import whole_path
+from mapreplay.files.whole import whole_path
 from mapreplay.floorplan import FloorPlan
 from mapreplay.grid import Grid, Mask
 from mapreplay.mapping import Thresholds

@@ -30,7 +30,7 @@ from mapreplay.analysis.metrics.calibration import (
 )
 from mapreplay.analysis.reporting.figures import plain, quiet
 from mapreplay.analysis.stats.estimates import mean_interval
-from mapreplay.files import whole_path
+from mapreplay.files.whole import whole_path
 from mapreplay.recorders.pictures.layers import MapView
 from mapreplay.recorders.pictures.painter import MapPainter
 from mapreplay.recorders.pictures.palette import (

@@ -12,7 +12,7 @@ from mapreplay.analysis.experiment.config import Dataset, ExperimentConfig
 from mapreplay.analysis.experiment.jobs import code_digest
 from mapreplay.episode import versions
 from mapreplay.errors import UsageError
-from mapreplay.files import write_whole
+from mapreplay.files.whole import write_whole
 from mapreplay.floorplan import FloorPlan
 from mapreplay.predictors import load_predictor
 

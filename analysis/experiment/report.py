@@ -38,7 +38,7 @@ from mapreplay.analysis.experiment.table import (
 from mapreplay.analysis.metrics.calibration import calibration_scores, decided, reliability
 from mapreplay.analysis.stats.estimates import mean_interval
 from mapreplay.errors import MapreplayError
-from mapreplay.files import make_folder, whole_path, write_whole
+from mapreplay.files.whole import make_folder, whole_path, write_whole
 
 CAPTIONS: Final = {
     "performance": "Reduction of mapping time by dataset, planner and configuration",

@@ -22,7 +22,7 @@ from mapreplay.cli.output import (
     say,
 )
 from mapreplay.errors import FloorPlanError, UsageError
-from mapreplay.files import write_whole
+from mapreplay.files.whole import write_whole
 
 if TYPE_CHECKING:
     from mapreplay.analysis.benchmarks.simulator import Saving

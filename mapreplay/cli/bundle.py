@@ -10,7 +10,7 @@ import typer
 from mapreplay.cli.logs import LogArgument, end_with, open_log
 from mapreplay.cli.output import ForceOption, check_outputs, note
 from mapreplay.errors import UsageError
-from mapreplay.files import write_whole
+from mapreplay.files.whole import write_whole
 
 LARGE = 2 << 20
 """Size in bytes above which a bundle is too large for an e-mail."""

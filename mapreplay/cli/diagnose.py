@@ -21,7 +21,7 @@ from mapreplay.cli.output import (
     say,
 )
 from mapreplay.errors import LogError, MapreplayError, UsageError
-from mapreplay.files import write_whole
+from mapreplay.files.whole import write_whole
 from mapreplay.text import printable, shell_command
 
 if TYPE_CHECKING:

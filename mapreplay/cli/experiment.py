@@ -9,7 +9,7 @@ import typer
 
 from mapreplay.cli.output import note, say
 from mapreplay.errors import UsageError
-from mapreplay.files import make_folder
+from mapreplay.files.whole import make_folder
 
 if TYPE_CHECKING:
     from mapreplay.analysis.experiment.config import Dataset, ExperimentConfig

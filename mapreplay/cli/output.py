@@ -18,7 +18,7 @@ from typing import IO, TYPE_CHECKING, Annotated, Final, TypeAlias
 import typer
 
 from mapreplay.errors import UsageError, WriteError
-from mapreplay.files import check_new, whole_path, write_whole
+from mapreplay.files.whole import check_new, whole_path, write_whole
 from mapreplay.text import one_line, printable, shell_command, shortened
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ import typer
 from mapreplay.cli.options import command_of
 from mapreplay.cli.output import LOST, ForceOption, Format, FormatOption, emit, note
 from mapreplay.errors import FloorPlanError, UsageError
-from mapreplay.files import make_folder
+from mapreplay.files.whole import make_folder
 from mapreplay.plugins import PluginKind, find
 from mapreplay.text import shell_command
 

@@ -13,7 +13,7 @@ import typer
 
 from mapreplay.cli.output import ForceOption, note
 from mapreplay.errors import UsageError
-from mapreplay.files import check_new
+from mapreplay.files.whole import check_new
 from mapreplay.text import shell_command
 
 

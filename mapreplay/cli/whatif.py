@@ -19,7 +19,7 @@ from mapreplay.cli.output import (
     note,
 )
 from mapreplay.errors import UsageError
-from mapreplay.files import write_whole
+from mapreplay.files.whole import write_whole
 
 if TYPE_CHECKING:
     import polars as pl

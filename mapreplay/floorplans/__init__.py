@@ -11,6 +11,7 @@ from typing import Final, Protocol, cast
 
 from mapreplay import plugins
 from mapreplay.errors import FloorPlanError, UsageError
+from mapreplay.files.identify import identify, identify_file
 from mapreplay.floorplan import ID_PATTERN, FloorPlan
 from mapreplay.floorplans.files import (
     exists,
@@ -22,7 +23,6 @@ from mapreplay.floorplans.files import (
 )
 from mapreplay.floorplans.greys import split_options
 from mapreplay.floorplans.plausibility import check_explorable
-from mapreplay.identify import identify, identify_file
 
 MAX_IDS: Final = 1_000_000
 _MAX_ID_LIST_BYTES: Final = 160 << 20

@@ -22,10 +22,10 @@ import numpy as np
 import numpy.typing as npt
 
 from mapreplay.errors import FloorPlanError, UsageError
+from mapreplay.files.identify import identify, identify_file
 from mapreplay.floorplan import FloorPlan
 from mapreplay.floorplans.files import brief, existing_path, files_in, is_junk, read_limited
 from mapreplay.grid import FREE, OCCUPIED, Grid, Origin
-from mapreplay.identify import identify, identify_file
 
 ENDING: Final = ".json"
 PIXELS_PER_METRE: Final = 80

@@ -22,6 +22,7 @@ from ruamel.yaml.events import (
 )
 
 from mapreplay.errors import FloorPlanError, UsageError
+from mapreplay.files.identify import identify
 from mapreplay.floorplan import Doubt, FloorPlan
 from mapreplay.floorplans.files import (
     brief,
@@ -44,7 +45,6 @@ from mapreplay.floorplans.greys import (
 from mapreplay.floorplans.pixels import read_pixels
 from mapreplay.floorplans.reading import Where, plan_of
 from mapreplay.grid import Origin
-from mapreplay.identify import identify
 
 ENDINGS: Final = (".yaml", ".yml")
 MAX_YAML_BYTES: Final = 64 << 10

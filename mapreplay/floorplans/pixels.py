@@ -19,9 +19,9 @@ import numpy as np
 import numpy.typing as npt
 
 from mapreplay.errors import FloorPlanError
+from mapreplay.files.identify import unlike
 from mapreplay.floorplan import MAX_SIDE
 from mapreplay.floorplans.files import read_limited
-from mapreplay.identify import unlike
 
 MAX_IMAGE_BYTES: Final = 192 << 20
 """A PNG of 4096 x 4096 pixels with four incompressible channels of 16 bits is 128 MiB."""

@@ -12,8 +12,8 @@ import numpy.typing as npt
 from mapreplay import plugins
 from mapreplay.config import WEIGHTS_ENDING
 from mapreplay.errors import PluginError
+from mapreplay.files.identify import identify_file
 from mapreplay.grid import Grid
-from mapreplay.identify import identify_file
 from mapreplay.step import PredictorIdentity
 
 

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mapreplay.errors import WeightsError
-from mapreplay.files import write_whole
+from mapreplay.files.whole import write_whole
 from mapreplay.grid import Grid
 from mapreplay.predictors import Predictor, load_predictor
 from mapreplay.predictors.auto_features import WORDS, count_words

@@ -16,8 +16,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
 from mapreplay.errors import WeightsError
-from mapreplay.files import whole_path
-from mapreplay.identify import SAFETENSORS, identify_file
+from mapreplay.files.identify import SAFETENSORS, identify_file
+from mapreplay.files.whole import whole_path
 
 MAX_BYTES: Final = 256 << 20
 

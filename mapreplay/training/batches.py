@@ -9,8 +9,8 @@ from typing import Final, NamedTuple, TypeAlias
 import cv2
 
 from mapreplay.errors import MapreplayError
+from mapreplay.processes.workers import in_order
 from mapreplay.training.dataset import Batch, Epoch
-from mapreplay.workers import in_order
 
 AHEAD: Final = 4
 """Number of batches that each process makes in advance."""

@@ -19,7 +19,7 @@ from torch.nn import functional
 
 from mapreplay import scores
 from mapreplay.errors import MapreplayError, WeightsError
-from mapreplay.files import write_whole
+from mapreplay.files.whole import write_whole
 from mapreplay.predictors.architectures import (
     ARCHITECTURES,
     AUTOENCODER,

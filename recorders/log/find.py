@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Final
 
 from mapreplay.errors import LogError
-from mapreplay.files import open_regular
-from mapreplay.identify import identify_file
+from mapreplay.files.identify import identify_file
+from mapreplay.files.whole import open_regular
 
 SUFFIXES: Final = (".mcap", ".mcap.part")
 

@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from mapreplay.files import open_regular
+from mapreplay.files.whole import open_regular
 
 
 def lock(file: BinaryIO) -> bool:

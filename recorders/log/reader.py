@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple, TypeAlias, TypeVa
 from mcap.opcode import Opcode
 
 from mapreplay.errors import LogError, MapreplayError
-from mapreplay.files import open_regular
+from mapreplay.files.identify import identify_file
+from mapreplay.files.whole import open_regular
 from mapreplay.grid import Grid, Quantized
-from mapreplay.identify import identify_file
 from mapreplay.recorders.log import step_table
 from mapreplay.recorders.log.codec import (
     Messages,

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mapreplay.errors import LogError, WriteError
-from mapreplay.files import check_new, whole_path
+from mapreplay.files.whole import check_new, whole_path
 from mapreplay.recorders.log.find import whereabouts
 from mapreplay.recorders.log.lock import is_locked
 from mapreplay.recorders.log.mcap.index import Tail

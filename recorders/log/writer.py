@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import BinaryIO, Final, Self
 
 from mapreplay.errors import ExistsError, LogError, MapreplayError
-from mapreplay.files import cannot_write, check_new, make_folder
+from mapreplay.files.whole import cannot_write, check_new, make_folder
 from mapreplay.recorders.log import step_table
 from mapreplay.recorders.log.codec import Encoded, encode_step, encode_truth
 from mapreplay.recorders.log.geometry import check_geometry

@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from mapreplay.errors import LogError, WriteError
-from mapreplay.files import whole_path
+from mapreplay.files.whole import whole_path
 from mapreplay.pictures import Picture, png_of
 from mapreplay.recorders.pictures.dashboard import Film
 from mapreplay.recorders.pictures.palette import (

@@ -9,7 +9,7 @@ from typing import Final, TypeAlias
 import rerun as rr
 import rerun.blueprint as rrb
 
-from mapreplay.files import whole_path
+from mapreplay.files.whole import whole_path
 from mapreplay.recorders.pictures.replay import LETTERS, Replay, names_of
 from mapreplay.recorders.viewer.columns import send_episode, send_scores
 from mapreplay.recorders.viewer.layout import Pane, application_id, layout

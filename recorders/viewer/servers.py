@@ -19,6 +19,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from mapreplay.errors import MapreplayError, UsageError
+from mapreplay.processes.workers import Program
 from mapreplay.recorders.pictures.replay import Replay
 from mapreplay.recorders.viewer.columns import EpisodeColumns
 from mapreplay.recorders.viewer.layout import TIMELINE, layout
@@ -31,7 +32,6 @@ from mapreplay.recorders.viewer.recording import (
 )
 from mapreplay.recorders.viewer.static import send_legend
 from mapreplay.step import EpisodeHeader, Step
-from mapreplay.workers import Program
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient

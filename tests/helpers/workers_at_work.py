@@ -15,7 +15,7 @@ from itertools import count
 from pathlib import Path
 
 from mapreplay.errors import LogError
-from mapreplay.workers import Program, Said, in_order, run_each
+from mapreplay.processes.workers import Program, Said, in_order, run_each
 
 
 def square(number: int) -> int:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from mapreplay.errors import ExistsError, WriteError
-from mapreplay.files import check_new, make_folder, open_regular, whole_path, write_whole
+from mapreplay.files.whole import check_new, make_folder, open_regular, whole_path, write_whole
 
 
 def _names(folder: Path) -> list[str]:

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 
 from drawing import show
 from mapreplay.errors import FloorPlanError, UsageError
+from mapreplay.files.identify import identify
 from mapreplay.floorplans import load_each
 from mapreplay.floorplans.houseexpo import (
     MAX_JSON_BYTES,
@@ -28,7 +29,6 @@ from mapreplay.floorplans.houseexpo import (
     rasterize,
 )
 from mapreplay.grid import FREE
-from mapreplay.identify import identify
 
 Points = Sequence[tuple[float, float]]
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from mapreplay.errors import FloorPlanError, PluginError, UsageError, WeightsError
+from mapreplay.files.identify import identify, identify_file, unlike
 from mapreplay.floorplans import open_source
-from mapreplay.identify import identify, identify_file, unlike
 from mapreplay.predictors import load_predictor
 from mapreplay.predictors.weights import load_tensors
 

@@ -15,7 +15,7 @@ import pytest
 import workers_at_work as at_work
 from mapreplay.analysis.pool import WorkerError, map_unordered
 from mapreplay.errors import LogError
-from mapreplay.workers import Died, DiedError, Ended, Program, Said, in_order, run_each
+from mapreplay.processes.workers import Died, DiedError, Ended, Program, Said, in_order, run_each
 
 SECONDS = 60
 linux = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")

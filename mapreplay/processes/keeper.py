@@ -1,4 +1,4 @@
-"""Runs a program until standard input ends; see `mapreplay.workers.Program`.
+"""Runs a program until standard input ends; see `mapreplay.processes.workers.Program`.
 
     python -I -S keeper.py PROGRAM [ARGUMENT ...]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from mapreplay.files import open_regular
+from mapreplay.files.whole import open_regular
 
 SAFETENSORS: Final = "a safetensors file (weights)"
 

@@ -383,7 +383,7 @@ def _ignoring_interrupts() -> Iterator[None]:
 class Program:
     """Another program that ends with this process, or when it is closed.
 
-    It is started by a small keeper process (`mapreplay/keeper.py`), which holds the other end of a
+    It is started by a small keeper process (`keeper`), which holds the other end of a
     pipe of ours: the end of that pipe is the end of the program.
     """
 

@@ -1,0 +1,1 @@
+"""Files from outside and to outside: written whole or not at all, and told by what they are."""
