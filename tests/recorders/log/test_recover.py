@@ -2,21 +2,25 @@
 
 import random
 import struct
+from collections.abc import Iterable
+from contextlib import suppress
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 from mcap.opcode import Opcode
 
+from damage import damaged
 from mapreplay.errors import ExistsError, LogError
 from mapreplay.recorders.log import recover as recovering
 from mapreplay.recorders.log.mcap.reader import read_records
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.log.recover import Recovered, recover
 from mapreplay.recorders.log.writer import EpisodeWriter
-from mapreplay.step import Outcome, differences
+from mapreplay.step import Outcome, Step, differences
 from recordings import Recorded
-from repack import Tool, read
+from repack import TOOLS, Tool, read
 
 
 @pytest.fixture
@@ -259,6 +263,59 @@ def test_another_file_behind_one_that_is_cut_off_is_not_mixed_in(
         saved, log = saved_of(tmp_path / "a.mcap", whole[:cut] + whole)
         assert list(log.indices) == [*range(40)]
         assert saved.outcome is None
+
+
+def assert_honest(original: Recorded, content: bytes, folder: Path, *, has_crcs: bool) -> None:
+    """Whatever is read or recovered of the content is a step of the original, under its number;
+    without checksums there may be other values in it.
+    """
+
+    def assert_same(step: Step) -> None:
+        assert not has_crcs or set(differences(step, original.steps[step.index])) <= {"profile"}
+
+    path = folder / "hurt.mcap"
+    path.write_bytes(content)
+    with suppress(LogError):
+        for step in EpisodeLog(path):
+            assert_same(step)
+    with suppress(LogError):
+        saved = recover(path, force=True)
+        if saved is not None:
+            log = EpisodeLog(saved.path)
+            assert len(log) == saved.steps == len([*log])
+            for step in log:
+                assert_same(step)
+            assert {*log.indices}.isdisjoint(chain.from_iterable(saved.missing))
+
+
+PACKED = ("ours", "lz4", "not compressed", "small chunks", "no chunks", "data checksum", "by topic")
+"""How the file is packed that is damaged."""
+
+
+def hurt(original: Recorded, seeds: Iterable[int], folder: Path) -> None:
+    contents = {"ours": original.path.read_bytes()}
+    packed = read(original.path)
+    for name in PACKED[1:]:
+        contents[name] = TOOLS[name].write(packed, folder / "packed.mcap").read_bytes()
+    for seed in seeds:
+        name = PACKED[seed % len(PACKED)]
+        content = damaged(contents[name], random.Random(seed))
+        try:
+            assert_honest(original, content, folder, has_crcs=name != "no chunks")
+        except BaseException as error:
+            error.add_note(f"seed {seed}, {name}")
+            raise
+
+
+def test_whatever_happens_to_a_file_what_is_read_is_right(small: Recorded, tmp_path: Path) -> None:
+    hurt(small, range(14), tmp_path)
+
+
+@pytest.mark.slow
+def test_whatever_happens_to_many_files_what_is_read_is_right(
+    small: Recorded, tmp_path: Path
+) -> None:
+    hurt(small, range(300), tmp_path)
 
 
 def test_where_not_even_a_step_is_left_nothing_is_written(blurred: Recorded, part: Path) -> None:
