@@ -193,7 +193,7 @@ def test_every_verb_says_the_same_mapping_time_of_logs_without_a_truth(
         with EpisodeWriter(tmp_path / side / "1.mcap", episode.header) as writer:
             for k in range(steps):
                 outcome = "mapped" if k == steps - 1 else None
-                writer.write(episode.step((1, 1), np.zeros((4, 6), np.int8), outcome=outcome))
+                writer.add(episode.step((1, 1), np.zeros((4, 6), np.int8), outcome=outcome))
     a, b = tmp_path / "a", tmp_path / "b"
 
     def rows(*arguments: object) -> list[dict[str, object]]:
@@ -210,6 +210,6 @@ def test_every_verb_says_the_same_mapping_time_of_logs_without_a_truth(
     for side in (a, b):  # a second one, so that folders are compared
         other = ExternalEpisode(plan, (2, 2), planner="theirs", seed=2)
         with EpisodeWriter(side / "2.mcap", other.header) as writer:
-            writer.write(other.step((2, 2), np.zeros((4, 6), np.int8), outcome="out_of_steps"))
+            writer.add(other.step((2, 2), np.zeros((4, 6), np.int8), outcome="out_of_steps"))
     times = {row["seed"]: (row["time_a"], row["time_b"]) for row in rows("diff", a, b)}
     assert times == {1: (2, 3), 2: (None, None)}

@@ -348,7 +348,7 @@ def test_a_disk_that_fills_up_is_not_mistaken_for_damage(
     def full(self: EpisodeWriter, step: object) -> None:
         raise LogError(f"{self.part}: cannot be written (No space left on device)")
 
-    monkeypatch.setattr(recovering.EpisodeWriter, "write", full)
+    monkeypatch.setattr(recovering.EpisodeWriter, "add", full)
     before = sorted(unfinished.path.parent.iterdir())
     with pytest.raises(LogError, match="No space left"):
         recover(unfinished.path)
