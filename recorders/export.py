@@ -40,13 +40,12 @@ Array = npt.NDArray[Any]
 def export_arrays(log: EpisodeLog, path: Path, *, force: bool = False) -> None:
     """Write all arrays of a log to the ``.npz`` file `path`, n steps stacked.
 
-    observed, fused: int8[n, H, W]; p_wall: uint8, uint16 or float32[m, H, W] of the m steps
-    in p_wall_step, both only if there was a prediction; truth: int8[H, W]; explorable:
-    bool[H, W]; agent, target: int32[n, 2] (row, col), the target -1 where there is none;
-    hits: int16[n, rays], -1 at steps without a scan (int16[n, 0] without any); and a float64[n]
-    for each of
-    `StepMetrics`, NaN where undefined. The log is read once; maps beyond `IN_MEMORY` bytes wait on
-    the disk, packed.
+    step: int32[n], their numbers; observed, fused: int8[n, H, W]; p_wall: uint8, uint16 or
+    float32[m, H, W] of the m steps in p_wall_step, both only if there was a prediction; truth:
+    int8[H, W]; explorable: bool[H, W]; agent, target: int32[n, 2] (row, col), the target -1 where
+    there is none; hits: int16[n, rays], -1 at steps without a scan (int16[n, 0] without any); and
+    a float64[n] for each of `StepMetrics`, NaN where undefined. The log is read once; maps beyond
+    `IN_MEMORY` bytes wait on the disk, packed.
 
     Raises:
         LogError: the log is damaged.
@@ -105,7 +104,8 @@ def _add_arrays(archive: zipfile.ZipFile, log: EpisodeLog, stacks: Sequence[_Sta
             prediction_dtype = step.p_wall.dtype
             p_wall.add(step.p_wall)
     count, shape = len(agents), log.header.floor_plan.shape
-    arrays = {
+    arrays: dict[str, Array] = {
+        "step": np.array(log.indices, np.int32),
         "truth": log.header.floor_plan.cells,
         "explorable": log.header.explorable,
         "agent": np.array(agents, np.int32).reshape(count, 2),

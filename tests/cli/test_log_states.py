@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
 from mcap.opcode import Opcode
 from rosbags.rosbag2 import StoragePlugin
@@ -164,6 +165,10 @@ def test_what_is_missing_is_in_no_number(
         )
         assert result.code == 1
         assert "steps 20 to 39 are missing, which lost 30" in result.err
+    assert cli("export", path, "--npz", tmp_path / "e.npz").code == 3
+    with np.load(tmp_path / "e.npz") as arrays:
+        assert arrays["step"].tolist() == there
+        assert len(arrays["observed"]) == len(arrays["f1"]) == 41
     different = cli("diff", path, whole)
     assert different.code == 3
     assert "missing steps 20 to 39 | none" in different.out
