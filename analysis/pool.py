@@ -9,7 +9,7 @@ from functools import partial
 from typing import Final, TypeVar
 
 from mapreplay.errors import MapreplayError
-from mapreplay.processes.workers import Died, Said, once, run_each
+from mapreplay.processes.workers import Died, Yielded, once, run_each
 
 _T = TypeVar("_T")
 _R = TypeVar("_R")
@@ -73,7 +73,7 @@ def map_unordered(
     deaths = []
     with closing(run_each(partial(once, work), items, min(jobs, len(items)))) as events:
         for event in events:
-            if isinstance(event, Said):
+            if isinstance(event, Yielded):
                 yield event.what
             elif isinstance(event, Died):
                 item = items[event.item]

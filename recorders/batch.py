@@ -14,7 +14,7 @@ from mapreplay.episode import prepare_episode, recorded
 from mapreplay.errors import MapreplayError
 from mapreplay.floorplan import FloorPlan
 from mapreplay.predictors import kept_predictor
-from mapreplay.processes.workers import Died, Said, run_each
+from mapreplay.processes.workers import Died, Yielded, run_each
 from mapreplay.recorders.log.writer import EpisodeWriter
 from mapreplay.step import log_name
 
@@ -104,7 +104,7 @@ def record_all(tasks: Sequence[Task], jobs: int) -> Generator[Report, None, None
         return
     with closing(run_each(_record, list(enumerate(tasks)), jobs)) as events:
         for event in events:
-            if isinstance(event, Said):
+            if isinstance(event, Yielded):
                 yield event.what
             elif isinstance(event, Died):
                 yield Failed(event.item, f"its worker process died ({event.how})")

@@ -51,7 +51,7 @@ def comparison_page(comparison: Comparison) -> page.Page:
     title = " against ".join(group.name for group in groups[::-1])
     if len(groups) > 2:
         title = f"{len(groups)} groups by {', '.join(comparison.by)}"
-    blocks: list[page.Block] = list(_headlines(comparison))
+    blocks: list[page.PageBlock] = list(_headlines(comparison))
     blocks += [page.Note(line) for line in comparison.notes]
     blocks += [
         page.Heading("Coverage and time"),
@@ -105,7 +105,7 @@ def _lead(comparison: Comparison) -> str:
     )
 
 
-def _headlines(comparison: Comparison) -> Iterator[page.Block]:
+def _headlines(comparison: Comparison) -> Iterator[page.PageBlock]:
     numbers = [
         (change(saving.reduction.mean), f"mapping time: {saving.group}")
         for saving in comparison.savings[:MOST_GROUPS]
@@ -172,7 +172,7 @@ def _success(saving: GroupSaving, comparison: Comparison) -> str:
     )
 
 
-def _extremes(comparison: Comparison, name: str) -> Iterator[page.Block]:
+def _extremes(comparison: Comparison, name: str) -> Iterator[page.PageBlock]:
     """The floor plans with the worst and the best result of a group against the baseline."""
     reference, group = (
         next(g for g in comparison.groups if g.name == n) for n in (comparison.baseline, name)
@@ -193,7 +193,7 @@ def _card(
     comparison: Comparison, reference: GroupResult, group: GroupResult, i: int, gain: float
 ) -> page.Card:
     place = comparison.places[i]
-    pictures: list[page.Block] = []
+    pictures: list[page.PageBlock] = []
     shown = []
     for result in (reference, group):
         episode = comparison.episodes[result.name][place][0]
@@ -213,7 +213,7 @@ def _card(
     )
 
 
-def _pictures(name: str, episode: LoggedEpisode) -> list[page.Block]:
+def _pictures(name: str, episode: LoggedEpisode) -> list[page.PageBlock]:
     """The map at the end of an episode, and its errors."""
     log = EpisodeLog(episode.path)
     if len(log) == 0:
@@ -230,7 +230,7 @@ def _pictures(name: str, episode: LoggedEpisode) -> list[page.Block]:
     ]
 
 
-def _plans_table(comparison: Comparison) -> page.Block:
+def _plans_table(comparison: Comparison) -> page.PageBlock:
     head = ["floor plan"]
     for group in comparison.groups:
         head += [f"{group.name}: steps", "F1"]

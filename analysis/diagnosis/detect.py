@@ -42,7 +42,7 @@ class Ending(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Span:
+class SealedSpan:
     """A time without a frontier on the planning map, though something is hidden."""
 
     first: Step
@@ -110,12 +110,12 @@ class SealingDetector:
     """Takes the steps of an episode in order; `spans` has the sealings after the last one."""
 
     def __init__(self, header: EpisodeHeader, scratch: Scratch) -> None:
-        self.spans: list[Span] = []
+        self.spans: list[SealedSpan] = []
         self.past = Past.at_start(header)
         """Of the step that was taken last."""
         self._header = header
         self._scratch = scratch
-        self._open: Span | None = None
+        self._open: SealedSpan | None = None
         self._before: Step | None = None
 
     def take(self, step: Step) -> bool:
@@ -131,7 +131,7 @@ class SealingDetector:
             if not sealed:
                 self._close(self._how(step))
         elif sealed:
-            self._open = Span(step, self.past, step.index, Ending.UNFINISHED, 0, 0.0)
+            self._open = SealedSpan(step, self.past, step.index, Ending.UNFINISHED, 0, 0.0)
         if sealed and self._open is not None:
             self._open = replace(self._open, last_step=step.index)
             if step.outcome is not None:
@@ -144,7 +144,7 @@ class SealingDetector:
         if self._open is not None:
             self._close(Ending.UNFINISHED)
 
-    def _go_on(self, span: Span, step: Step) -> Span:
+    def _go_on(self, span: SealedSpan, step: Step) -> SealedSpan:
         metres = self.past.travelled.metres(self._header.floor_plan.resolution)
         before = span.past.travelled.metres(self._header.floor_plan.resolution)
         return replace(span, moves=step.index - span.first.index, metres=metres - before)

@@ -16,8 +16,8 @@ from mapreplay.analysis.diagnosis.detect import (
     Ending,
     NearMiss,
     NearMissDetector,
+    SealedSpan,
     SealingDetector,
-    Span,
     reason_never_sealed,
 )
 from mapreplay.analysis.diagnosis.harms import Harm, HarmDetector, WrongCoverage, wrong_coverage
@@ -163,7 +163,7 @@ def _limits(log: EpisodeLog) -> list[str]:
 
 
 def _explain(
-    log: EpisodeLog, spans: list[Span], scratch: Scratch, notes: list[str]
+    log: EpisodeLog, spans: list[SealedSpan], scratch: Scratch, notes: list[str]
 ) -> tuple[Sealing, ...]:
     if not spans:
         return ()
@@ -208,7 +208,7 @@ def _planner(log: EpisodeLog, notes: list[str]) -> Planner | None:
 
 def _sealing(
     log: EpisodeLog,
-    span: Span,
+    span: SealedSpan,
     blocking: BlockingCells | None,
     chain: list[Blame],
     planner: Planner | None,

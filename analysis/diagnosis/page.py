@@ -17,7 +17,6 @@ from mapreplay.analysis.diagnosis.paragraph import paragraph, what_if
 from mapreplay.analysis.diagnosis.taxonomy import KINDS
 from mapreplay.analysis.reporting.figures import colour, in_the_dark, render
 from mapreplay.analysis.reporting.page import (
-    Block,
     Columns,
     CommandLine,
     Facts,
@@ -26,6 +25,7 @@ from mapreplay.analysis.reporting.page import (
     Items,
     Note,
     Page,
+    PageBlock,
     Paragraph,
     Table,
 )
@@ -53,7 +53,7 @@ def diagnosis_page(diagnoses: Sequence[tuple[Path, Diagnosis]]) -> str:
     found = [diagnosis for _, diagnosis in diagnoses]
     reliability = pooled_reliability(found)
     whole = groups(found)[0]
-    blocks: list[Block] = []
+    blocks: list[PageBlock] = []
     if len(found) > 1:
         blocks += _counts(found)
     sealed = [(path, d) for path, d in diagnoses if d.sealings]
@@ -79,8 +79,8 @@ def diagnosis_page(diagnoses: Sequence[tuple[Path, Diagnosis]]) -> str:
     return Page("Why was it sealed in?", lead, blocks, "Made by mapreplay diagnose.").html()
 
 
-def _counts(found: Sequence[Diagnosis]) -> list[Block]:
-    blocks: list[Block] = []
+def _counts(found: Sequence[Diagnosis]) -> list[PageBlock]:
+    blocks: list[PageBlock] = []
     for title, frame in tables.all_tables(found):
         if len(frame):
             blocks.append(Heading(title, 3))
@@ -89,10 +89,10 @@ def _counts(found: Sequence[Diagnosis]) -> list[Block]:
     return blocks
 
 
-def _pictures(path: Path, diagnosis: Diagnosis) -> list[Block]:
+def _pictures(path: Path, diagnosis: Diagnosis) -> list[PageBlock]:
     log = EpisodeLog(path)
     views = (MapView.OBSERVED, MapView.FUSED, MapView.ERROR)
-    blocks: list[Block] = []
+    blocks: list[PageBlock] = []
     for sealing in diagnosis.sealings[:SHOWN]:
         step = log[sealing.first_step]
         maps = [

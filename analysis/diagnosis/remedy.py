@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mapreplay.analysis.diagnosis.blocking import BlockingCells, as_mask
-from mapreplay.analysis.diagnosis.detect import Span
+from mapreplay.analysis.diagnosis.detect import SealedSpan
 from mapreplay.analysis.diagnosis.kernels import first_viewpoint
 from mapreplay.analysis.diagnosis.reach import Scratch, grown
 from mapreplay.episode import Episode, run_episode
@@ -135,7 +135,7 @@ class _Frozen:
 
 
 def fail_safe_moves(
-    header: EpisodeHeader, planner: Planner, span: Span, scratch: Scratch
+    header: EpisodeHeader, planner: Planner, span: SealedSpan, scratch: Scratch
 ) -> int | None:
     """Moves that the fail-safe would make until the agent has a frontier again.
 

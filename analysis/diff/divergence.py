@@ -13,7 +13,7 @@ from enum import StrEnum
 from typing import Final
 
 from mapreplay.grid import Cell
-from mapreplay.recorders.log.facts import Said, header_differences
+from mapreplay.recorders.log.facts import HeaderDifference, header_differences
 from mapreplay.recorders.log.reader import EpisodeLog
 from mapreplay.recorders.pictures.replay import side_by_side
 from mapreplay.step import MAX_RIVALS, Cells, Decision, Step, differences
@@ -75,7 +75,7 @@ class Divergences:
     out: from there on they are in different places."""
     steps: int
     """Steps that both have."""
-    headers: tuple[Said, ...]
+    headers: tuple[HeaderDifference, ...]
     """What the two logs say otherwise of the whole episode."""
 
     @property
@@ -113,7 +113,9 @@ def find_divergences(a: EpisodeLog, b: EpisodeLog) -> Divergences:
         steps = min(a.last, b.last) + 1
     said = [*header_differences(a.header, b.header)]
     if a.state.missing != b.state.missing:
-        said.append(Said("missing steps", *(_spans(log.state.missing) for log in (a, b))))
+        said.append(
+            HeaderDifference("missing steps", *(_spans(log.state.missing) for log in (a, b)))
+        )
     return Divergences(dict(order), steps, tuple(said))
 
 

@@ -15,7 +15,7 @@ from mapreplay.analysis.diff.divergence import find_divergences
 from mapreplay.analysis.episodes.corpus import LoggedEpisode, episode_of
 from mapreplay.analysis.episodes.curves import Curve, first_reached
 from mapreplay.errors import UsageError
-from mapreplay.recorders.log.facts import Said
+from mapreplay.recorders.log.facts import HeaderDifference
 from mapreplay.recorders.log.reader import EpisodeLog
 
 LEVELS: Final = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
@@ -44,7 +44,7 @@ class EpisodeDiff:
     """Bit for bit in all that happened and in all that the logs say of it."""
     steps: int
     """Steps that both have."""
-    headers: tuple[Said, ...]
+    headers: tuple[HeaderDifference, ...]
     """What the two say otherwise of the whole episode, such as the planner."""
     causes: tuple[Cause, ...]
     """The layers that differ, by their first step, causes first, until the agents diverge."""

@@ -153,7 +153,7 @@ _CONDITION: Final = re.compile(r"\s*(\w+)\s*(!=|<=|>=|=|<|>)\s*(.*?)\s*")
 
 
 @dataclass(frozen=True)
-class Condition:
+class RowFilter:
     """A condition on a row, such as ``outcome=sealed_in`` or ``steps>300``."""
 
     column: str
@@ -161,7 +161,7 @@ class Condition:
     value: str
 
     @classmethod
-    def parse(cls, text: str) -> Condition:
+    def parse(cls, text: str) -> RowFilter:
         """Read ``column OP value`` with OP one of = != < <= > >=.
 
         Raises:

@@ -21,7 +21,7 @@ _SHOWN: Final = 12
 
 
 @dataclass(frozen=True)
-class Origin:
+class ExperimentOrigin:
     """All that the results on a dataset depend on; the file ``settings-<dataset>.json``."""
 
     settings: Mapping[str, Any]
@@ -44,7 +44,7 @@ class Origin:
             dict(versions()),
         )
 
-    def differences(self, now: Origin) -> list[str]:
+    def differences(self, now: ExperimentOrigin) -> list[str]:
         """What is another thing `now`, each in a few words; floor plans may be added."""
         found = _settings_differ(self.settings, now.settings)
         others = [
@@ -74,7 +74,7 @@ def origin_file(folder: Path, dataset: str) -> Path:
     return folder / f"settings-{dataset}.json"
 
 
-def keep_origin(folder: Path, dataset: str, now: Origin) -> None:
+def keep_origin(folder: Path, dataset: str, now: ExperimentOrigin) -> None:
     """Write down what the results in `folder` are made of.
 
     Raises:
@@ -119,10 +119,10 @@ def _settings_differ(then: Mapping[str, Any], now: Mapping[str, Any]) -> list[st
     ]
 
 
-def _read(path: Path) -> Origin | None:
+def _read(path: Path) -> ExperimentOrigin | None:
     try:
         values = json.loads(path.read_text(encoding="utf-8"))
-        return Origin(**values)
+        return ExperimentOrigin(**values)
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, ValueError, TypeError):

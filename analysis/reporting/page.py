@@ -21,7 +21,7 @@ from mapreplay.analysis.reporting.wording import UNDEFINED
 from mapreplay.text import printable
 
 
-class Block(Protocol):
+class PageBlock(Protocol):
     """A part of a page, one below the other."""
 
     def html(self) -> str:
@@ -36,7 +36,7 @@ class Code:
     text: str
 
     def html(self) -> str:
-        """See `Block`."""
+        """See `PageBlock`."""
         return f"<code>{_text(self.text)}</code>"
 
 
@@ -48,7 +48,7 @@ class Link:
     anchor: str
 
     def html(self) -> str:
-        """See `Block`."""
+        """See `PageBlock`."""
         return f'<a href="#{quote(printable(self.anchor))}">{_text(self.text)}</a>'
 
 
@@ -74,7 +74,7 @@ class Heading:
     anchor: str = ""
 
     def html(self) -> str:
-        """See `Block`."""
+        """See `PageBlock`."""
         name = f' id="{_text(self.anchor)}"' if self.anchor else ""
         return f"<h{self.level}{name}>{_text(self.text)}</h{self.level}>"
 
@@ -89,7 +89,7 @@ class Paragraph:
         object.__setattr__(self, "parts", parts)
 
     def html(self) -> str:
-        """See `Block`."""
+        """See `PageBlock`."""
         return f"<p>{_inline(self.parts)}</p>"
 
 
@@ -103,7 +103,7 @@ class Note:
         object.__setattr__(self, "parts", parts)
 
     def html(self) -> str:
-        """See `Block`."""
+        """See `PageBlock`."""
         return f'<p class="note">{_inline(self.parts)}</p>'
 
 
@@ -114,7 +114,7 @@ class Items:
     items: Sequence[Sequence[Inline]]
 
     def html(self) -> str:
-        """See `Block`."""
+        """See `PageBlock`."""
         return f"<ul>{''.join(f'<li>{_inline(item)}</li>' for item in self.items)}</ul>"
 
 
@@ -125,7 +125,7 @@ class CommandLine:
     text: str
 
     def html(self) -> str:
-        """See `Block`."""
+        """See `PageBlock`."""
         return f"<pre><code>{_text(self.text)}</code></pre>"
 
 
@@ -136,7 +136,7 @@ class Numbers:
     numbers: Sequence[tuple[str, str]]
 
     def html(self) -> str:
-        """See `Block`."""
+        """See `PageBlock`."""
         cards = "".join(
             f"<div><dd>{_text(value)}</dd><dt>{_text(name)}</dt></div>"
             for value, name in self.numbers
@@ -151,7 +151,7 @@ class Facts:
     facts: Sequence[tuple[str, Inline]]
 
     def html(self) -> str:
-        """See `Block`."""
+        """See `PageBlock`."""
         lines = "".join(
             f"<dt>{_text(name)}</dt><dd>{_inline([value])}</dd>" for name, value in self.facts
         )
@@ -176,7 +176,7 @@ class Table:
     """Further columns to be set flush right, such as formatted numbers."""
 
     def html(self) -> str:
-        """See `Block`.
+        """See `PageBlock`.
 
         Raises:
             ValueError: a row does not have as many values as the head.
@@ -237,7 +237,7 @@ class Illustration:
     pixelated: bool = False
 
     def html(self) -> str:
-        """See `Block`.
+        """See `PageBlock`.
 
         Raises:
             ValueError: the bytes are neither a PNG nor an SVG.
@@ -267,12 +267,12 @@ def _data_uri(image: bytes) -> str:
 class Columns:
     """Blocks side by side where there is room, below each other where there is none."""
 
-    blocks: Sequence[Block]
+    blocks: Sequence[PageBlock]
     wide: bool = False
     """At most two per row, for figures; otherwise as many as fit, each at least a map wide."""
 
     def html(self) -> str:
-        """See `Block`."""
+        """See `PageBlock`."""
         kind = "columns wide" if self.wide else "columns"
         inner = "".join(f"<div>{block.html()}</div>" for block in self.blocks)
         return f'<div class="{kind}">{inner}</div>'
@@ -282,10 +282,10 @@ class Columns:
 class Card:
     """Blocks that belong together, in a frame."""
 
-    blocks: Sequence[Block]
+    blocks: Sequence[PageBlock]
 
     def html(self) -> str:
-        """See `Block`."""
+        """See `PageBlock`."""
         return f'<section class="card">{"".join(block.html() for block in self.blocks)}</section>'
 
 
@@ -294,10 +294,10 @@ class Details:
     """Blocks that are shown when the reader opens them."""
 
     summary: str
-    blocks: Sequence[Block]
+    blocks: Sequence[PageBlock]
 
     def html(self) -> str:
-        """See `Block`."""
+        """See `PageBlock`."""
         inner = "".join(block.html() for block in self.blocks)
         return f"<details><summary>{_text(self.summary)}</summary>{inner}</details>"
 
@@ -313,7 +313,7 @@ class Page:
     title: str
     lead: str
     """One sentence below the title: the answer."""
-    blocks: Sequence[Block]
+    blocks: Sequence[PageBlock]
     footer: str = ""
 
     def html(self) -> str:

@@ -126,11 +126,11 @@ def _keep_settings(
     settings: ExperimentConfig, plans: dict[str, list[FloorPlan]], out: Path
 ) -> None:
     """Write down what `out` is of, so that no other experiment is mixed with it."""
-    from mapreplay.analysis.experiment.origin import Origin, keep_origin
+    from mapreplay.analysis.experiment.origin import ExperimentOrigin, keep_origin
 
     make_folder(out)
     for d in settings.datasets:
-        keep_origin(out, d.name, Origin.of(settings, d, plans[d.name]))
+        keep_origin(out, d.name, ExperimentOrigin.of(settings, d, plans[d.name]))
 
 
 def _simulate(jobs: list[Job], shelf: Shelf, processes: int) -> None:

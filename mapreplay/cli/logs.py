@@ -66,12 +66,12 @@ def read_episodes(
 
     logs = find_logs(paths)  # before the slow imports
     from mapreplay.analysis.episodes.corpus import LoggedEpisode, read_corpus
-    from mapreplay.analysis.episodes.summary import Condition
+    from mapreplay.analysis.episodes.summary import RowFilter
     from mapreplay.analysis.pool import default_jobs
     from mapreplay.cli.progress import progress_bar
 
     jobs = default_jobs(len(logs) // LOGS_A_PIECE) if parallel else 1
-    conditions = [Condition.parse(text) for text in where or []]
+    conditions = [RowFilter.parse(text) for text in where or []]
     episodes, unreadable = [], []
     with progress_bar() as bar:
         for found in bar.track(read_corpus(logs, jobs), len(logs), description="episodes"):

@@ -59,13 +59,13 @@ def verify(
         raise UsageError("verify: choose one of --rerun and --rerun-from")
     if predictor and not rerun and rerun_from is None:
         raise UsageError("verify: --predictor is for --rerun and --rerun-from")
-    from mapreplay.analysis.episodes.summary import Condition, row_of_log
+    from mapreplay.analysis.episodes.summary import RowFilter, row_of_log
     from mapreplay.recorders.log.blame import blaming
     from mapreplay.recorders.log.find import find_logs
     from mapreplay.recorders.log.reader import EpisodeLog
 
     check = _check(device, rerun_from, predictor or [], rerun=rerun)
-    conditions = [Condition.parse(text) for text in where or []]
+    conditions = [RowFilter.parse(text) for text in where or []]
     results: dict[str, Verification] = {}
     problems: list[str] = []
     states: dict[Path, LogState] = {}

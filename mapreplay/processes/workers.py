@@ -48,7 +48,7 @@ class DiedError(MapreplayError):
 
 
 @dataclass(frozen=True)
-class Said(Generic[R]):
+class Yielded(Generic[R]):
     """A result of an item, possibly not the last one."""
 
     item: int
@@ -72,7 +72,7 @@ class Died:
     """``killed by SIGKILL``, ``exit code 9``."""
 
 
-Event: TypeAlias = Said[R] | Ended | Died
+Event: TypeAlias = Yielded[R] | Ended | Died
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ class Worker(Generic[T, R]):
             BaseException: what the work raised.
         """
         try:
-            said: Said[R] | Ended | _Raised = self.connection.recv()
+            said: Yielded[R] | Ended | _Raised = self.connection.recv()
         except (EOFError, OSError):
             return Died(self._items.popleft() if self._items else -1, self._death())
         if isinstance(said, _Raised):
@@ -146,7 +146,7 @@ class Worker(Generic[T, R]):
         if isinstance(said, Ended):
             self._items.popleft()
             return Ended(number)
-        return Said(number, said.what)
+        return Yielded(number, said.what)
 
     def _death(self) -> str:
         self._process.join()
@@ -208,7 +208,7 @@ def run_each(
             for ready in connection.wait(list(workers)):
                 worker = workers[cast("Connection", ready)]
                 event = worker.receive()
-                if isinstance(event, Said):
+                if isinstance(event, Yielded):
                     yield event
                     continue
                 if isinstance(event, Died):
@@ -264,7 +264,7 @@ def in_order(
                 return
             worker = under_way.popleft()
             said, ended = worker.receive(), None
-            if isinstance(said, Said):
+            if isinstance(said, Yielded):
                 ended = worker.receive()
                 if isinstance(ended, Ended):
                     yield said.what
@@ -312,10 +312,10 @@ def _serve(
 
 def _messages(
     work: Callable[[T], Iterable[R]], item: T
-) -> Generator[Said[R] | Ended | _Raised, None, None]:
+) -> Generator[Yielded[R] | Ended | _Raised, None, None]:
     try:
         for what in work(item):
-            message = Said(-1, what)
+            message = Yielded(-1, what)
             ForkingPickler.dumps(message)  # here, where it is an error of the work if it cannot be
             yield message
     except GeneratorExit:

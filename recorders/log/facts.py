@@ -70,7 +70,7 @@ def facts_of(header: EpisodeHeader) -> list[Fact]:
 
 
 @dataclass(frozen=True)
-class Said:
+class HeaderDifference:
     """Something of the whole episode that two logs say otherwise."""
 
     what: str
@@ -79,8 +79,8 @@ class Said:
     b: str
 
 
-def header_differences(a: EpisodeHeader, b: EpisodeHeader) -> tuple[Said, ...]:
+def header_differences(a: EpisodeHeader, b: EpisodeHeader) -> tuple[HeaderDifference, ...]:
     """What two headers say otherwise, fact by fact."""
     of_a, of_b = ({fact.name: fact.short for fact in facts_of(header)} for header in (a, b))
     pairs = ((name, of_a.get(name, "none"), of_b.get(name, "none")) for name in of_a | of_b)
-    return tuple(Said(*pair) for pair in pairs if pair[1] != pair[2])
+    return tuple(HeaderDifference(*pair) for pair in pairs if pair[1] != pair[2])

@@ -15,7 +15,7 @@ from itertools import count
 from pathlib import Path
 
 from mapreplay.errors import LogError
-from mapreplay.processes.workers import Program, Said, in_order, run_each
+from mapreplay.processes.workers import Program, Yielded, in_order, run_each
 
 
 def square(number: int) -> int:
@@ -60,7 +60,7 @@ def wait_for_children(kind: str) -> None:
     """See the module."""
     if kind == "spawned":
         for event in run_each(tell_and_sleep, range(2), 2):
-            if isinstance(event, Said):
+            if isinstance(event, Yielded):
                 print(event.what, flush=True)
     elif kind == "forked":
         for pid in in_order(sleep_after_telling, count(), 2, 2):

@@ -15,7 +15,7 @@ import pytest
 import workers_at_work as at_work
 from mapreplay.analysis.pool import WorkerError, map_unordered
 from mapreplay.errors import LogError
-from mapreplay.processes.workers import Died, DiedError, Ended, Program, Said, in_order, run_each
+from mapreplay.processes.workers import Died, DiedError, Ended, Program, Yielded, in_order, run_each
 
 SECONDS = 60
 linux = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
@@ -53,7 +53,7 @@ def test_a_death_costs_one_item_and_is_told_with_it() -> None:
     said: dict[int, list[str]] = {n: [] for n in range(6)}
     ended, died = set(), []
     for event in run_each(at_work.die_at_three, range(6), 2):
-        if isinstance(event, Said):
+        if isinstance(event, Yielded):
             said[event.item].append(event.what)
         elif isinstance(event, Ended):
             ended.add(event.item)
@@ -74,7 +74,7 @@ def test_what_the_work_raises_is_raised_with_where_it_was() -> None:
 
 def test_results_larger_than_a_pipe_come_whole_and_closing_ends_the_workers() -> None:
     events = run_each(at_work.large, [1, 2, 3, 4, 5], 2)
-    first = next(e for e in events if isinstance(e, Said))
+    first = next(e for e in events if isinstance(e, Yielded))
     assert first.what == bytes([first.item + 1]) * (1 << 20)
     events.close()
     no_workers_are_left()

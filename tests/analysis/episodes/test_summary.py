@@ -6,7 +6,7 @@ import math
 import polars as pl
 import pytest
 
-from mapreplay.analysis.episodes.summary import Condition, EpisodeRow, brief, episode_frame
+from mapreplay.analysis.episodes.summary import EpisodeRow, RowFilter, brief, episode_frame
 from mapreplay.errors import UsageError
 
 ROW = EpisodeRow(
@@ -31,13 +31,13 @@ def row(**changes: object) -> EpisodeRow:
     ],
 )  # fmt: skip
 def test_conditions(text: str, holds: bool) -> None:
-    assert Condition.parse(text).holds(ROW) is holds
+    assert RowFilter.parse(text).holds(ROW) is holds
 
 
 def test_what_is_not_there_satisfies_only_unequal() -> None:
-    assert not Condition.parse("mapping_time<1000").holds(row(mapping_time=None))
-    assert Condition.parse("mapping_time!=3").holds(row(mapping_time=None))
-    assert not Condition.parse("f1>0").holds(row(f1=math.nan))
+    assert not RowFilter.parse("mapping_time<1000").holds(row(mapping_time=None))
+    assert RowFilter.parse("mapping_time!=3").holds(row(mapping_time=None))
+    assert not RowFilter.parse("f1>0").holds(row(f1=math.nan))
 
 
 @pytest.mark.parametrize(
@@ -46,12 +46,12 @@ def test_what_is_not_there_satisfies_only_unequal() -> None:
 )
 def test_bad_conditions_are_refused(text: str, message: str) -> None:
     with pytest.raises(UsageError, match=message):
-        Condition.parse(text)
+        RowFilter.parse(text)
 
 
 def test_a_number_is_needed_where_a_number_is_compared() -> None:
     with pytest.raises(UsageError, match="'many' is no number"):
-        Condition.parse("steps>many").holds(ROW)
+        RowFilter.parse("steps>many").holds(ROW)
 
 
 def test_the_frame_has_its_columns_even_when_empty() -> None:

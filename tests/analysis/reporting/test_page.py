@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mapreplay.analysis.reporting.page import (
-    Block,
     Card,
     Code,
     Columns,
@@ -23,6 +22,7 @@ from mapreplay.analysis.reporting.page import (
     Note,
     Numbers,
     Page,
+    PageBlock,
     Paragraph,
     Table,
 )
@@ -59,7 +59,7 @@ class Reader(HTMLParser):
         self.text.append(data)
 
 
-def everything(word: str) -> list[Block]:
+def everything(word: str) -> list[PageBlock]:
     """A block of each kind, with `word` wherever a word can be."""
     table = Table([word, "n"], [[word, 1], [Code(word), None]], caption=word)
     return [
