@@ -14,7 +14,7 @@ demo: .venv/.installed ## record five floor plans with and without prediction, a
 
 setup: .venv/.installed-dev ## create .venv with the package and the development tools
 
-test: .venv/.installed-dev check ## lint, types and tests with coverage (about five minutes on two cores)
+test: .venv/.installed-dev check ## lint, types and tests with coverage (about six minutes on two cores)
 	$(BIN)/pytest --numprocesses auto --dist loadfile --cov --cov-report=term:skip-covered
 
 check: .venv/.installed-dev ## only lint, format and types
