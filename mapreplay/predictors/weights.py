@@ -131,8 +131,7 @@ def load_tensors(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
             names = file.keys()
             return {name: file.get_tensor(name) for name in names}, file.metadata() or {}
     except OSError as error:
-        reason = "is a folder" if path.is_dir() else error.strerror or error
-        raise WeightsError(f"{path}: cannot be read ({reason})") from None
+        raise WeightsError(f"{path}: cannot be read ({error.strerror or error})") from None
     except (SafetensorError, ValueError) as error:
         what = identify_file(path)
         reason = " ".join(str(error).split())[:120] if what in (None, SAFETENSORS) else what

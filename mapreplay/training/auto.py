@@ -188,18 +188,6 @@ def examples_of(
     return found
 
 
-def save_examples(examples: Mapping[str, Examples], path: Path) -> None:
-    """Save examples to an npz file, to fit again without simulating again."""
-    np.savez_compressed(
-        path,
-        **{
-            f"{name}/{field}": getattr(part, field)
-            for name, part in examples.items()
-            for field in ("counts", "steps", "plans")
-        },
-    )
-
-
 def main() -> None:
     """See the module."""
     parser = argparse.ArgumentParser(prog="python -m mapreplay.training.auto")
